@@ -208,7 +208,7 @@ def table(cls: type) -> type:
 def location(path: Path | str | None, default: Path | None = None) -> Path:
     """`path` as a `Path`; where it is None, `default`. InputError for what is no path."""
     chosen = default if path is None else path
-    if not isinstance(chosen, str | os.PathLike) or not str(chosen):
+    if not isinstance(chosen, str | os.PathLike) or not str(chosen) or "\0" in str(chosen):
         raise InputError(f"the path of a file is {reprlib.repr(chosen)}, a text or a Path is needed")
     return Path(chosen)
 
@@ -225,10 +225,10 @@ def text(path: Path) -> str:
         return path.read_text(encoding="utf-8")
     except FileNotFoundError as error:
         raise InputError(f"there is no file {path}") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is no text in UTF-8 ({error.reason} at byte {error.start})") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
 
 
 def read(path: Path) -> Any:

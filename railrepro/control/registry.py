@@ -42,7 +42,9 @@ class Controller:
 
 
 _POLES = ("pole", "frequency", "damping")
-_WEIGHTS = ("q_psi_TrAx", "q_psidot_Ax", "r", "q_terminal", "period_ms", "horizon_s")
+_RANGES = dict.fromkeys(("q_psi_TrAx", "q_psidot_Ax"), above(0.0, LARGEST_WEIGHT))
+_RANGES |= {"period_ms": above(0.0, 1e3, "ms"), "horizon_s": above(0.0, 100.0, "s")}
+_MPC = (*_RANGES, "r", "q_terminal")
 
 
 def mpc_settings(parameters: dict) -> MPCSettings:
@@ -53,10 +55,9 @@ def mpc_settings(parameters: dict) -> MPCSettings:
     limited to 5 to 100.
     """
     p = dict(parameters)
+    for name, allowed in _RANGES.items():
+        require(f"MPC: {name}", p[name], allowed)
     period = 1e-3 * p.pop("period_ms")
-    require("MPC: horizon_s", p["horizon_s"], above(0.0, 100.0, "s"))
-    for name in ("q_psi_TrAx", "q_psidot_Ax"):
-        require(f"MPC: {name}", p[name], above(0.0, LARGEST_WEIGHT))
     steps = min(max(round(p.pop("horizon_s") / period), 5), 100)
     weights = {"psidot_Ax": p.pop("q_psidot_Ax"), "y_TrAx": 1.0, "psi_TrAx": p.pop("q_psi_TrAx")}
     return MPCSettings(tuple(weights.get(name, 0.0) for name in STATES), period=period, steps=steps, **p)
@@ -82,7 +83,7 @@ class Predictive:
 
 def _predictive(kind: type, quick: dict | None = None, **options) -> Controller:
     build = partial(Predictive, kind, options=tuple(options.items()))
-    return Controller(build, mpc_settings, True, quick or {}, _WEIGHTS)
+    return Controller(build, mpc_settings, True, quick or {}, _MPC)
 
 
 def _inversion(*more: str, **fixed) -> Controller:
@@ -95,7 +96,7 @@ OURS = "lqg_preview"
 """Name of the controller of this project, which the paper does not have; no claim is judged with it."""
 CONTROLLERS = {
     "nmpc": _predictive(NMPC, {"solver": "rti"}),
-    "nmpc_observer": replace(_predictive(NMPC, {"solver": "rti"}), needed=(*_WEIGHTS, "observer")),
+    "nmpc_observer": replace(_predictive(NMPC, {"solver": "rti"}), needed=(*_MPC, "observer")),
     "ltv_mpc": _predictive(LTVMPC),
     "ltv_mpc_printed": _predictive(LTVMPC, printed=True),
     "ndi": _inversion(),
@@ -144,7 +145,7 @@ def guidance(name: str, parameters: dict, options: dict | None = None, **changes
     if name not in CONTROLLERS:
         raise InputError(f"controller {name!r} is not known; there are {sorted(CONTROLLERS)}")
     require(f"controller {name}: parameters", parameters, dict)
-    require(f"controller {name}: options", options or {}, dict)
+    require(f"controller {name}: options", {} if options is None else options, dict)
     controller = CONTROLLERS[name]
     for each in controller.needed:
         if each not in parameters:

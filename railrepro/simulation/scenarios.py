@@ -163,7 +163,7 @@ class Scenario:
 
     def reference(self) -> ca.Function | None:
         """Lateral set point as a CasADi function from track coordinate p (m) to y* (m). None if `kind` is "none"."""
-        point = self.set_point
+        point = {name: value for name, value in self.set_point.items() if value is not None}
         if point["kind"] == "none":
             return None
         kind, period = (1, "period_m") if point["kind"] == "sine" else (2, "period_start_m")

@@ -73,6 +73,7 @@ def load(path: Path | str | None = None) -> dict[str, Choice]:
         if unknown := sorted(set(choice.statements) - set(known)):
             raise InputError(f"{file.name}: {name}.statements has {unknown[0]!r}, which is no id of claims.toml")
     try:
+        setup({name: choice.nominal for name, choice in choices.items()}).checked()
         setup(_values(choices)).checked()
     except InputError as error:
         raise InputError(f"{file.name}: {error}") from None
