@@ -196,9 +196,7 @@ def table(cls: type) -> type:
     def checked(self, *values, **named):
         content = dict(zip(names, values, strict=False)) | named
         if len(content) < len(values) + len(named):
-            raise InputError(
-                f"{cls.__name__}: there are more values than fields, at most one each of {names} is needed"
-            )
+            raise InputError(f"{cls.__name__}: has more values than fields, at most one for each of {names} is needed")
         build(made, content, cls.__name__, self)
 
     made.__init__ = checked
@@ -252,10 +250,11 @@ def _parsed(content: str, kind: str) -> str:
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Dict of the pairs of a JSON object; JSON itself permits a key twice, of which the last would count."""
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        twice = [key for key, _ in pairs if sum(key == other for other, _ in pairs) > 1]
-        raise ValueError(f"the key {twice[0]!r} occurs twice")
+    found: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in found:
+            raise ValueError(f"the key {key!r} occurs twice")
+        found[key] = value
     return found
 
 
