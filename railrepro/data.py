@@ -1,8 +1,9 @@
 """Data in and out: TOML and JSON to checked, frozen dataclasses, and files that are written whole or not at all.
 
 A class marked with `table` states keys, types and defaults once; `above` and `between` add unit and range to a
-number, `__post_init__` what holds between keys. pydantic checks. Wrong input of any kind is an `InputError`: one
-sentence with file, key, what was found and what is needed.
+number, `__post_init__` what holds between keys. pydantic checks, for the content of a file and for the arguments of the
+constructor alike. Wrong input of any kind is an `InputError`: one sentence with file or class, key, what was found and
+what is needed.
 """
 
 from __future__ import annotations
@@ -14,9 +15,10 @@ import json
 import math
 import numbers
 import os
-import pickle
+import re
 import reprlib
 import shutil
+import stat
 import sys
 import tempfile
 import threading
@@ -32,6 +34,8 @@ import pydantic
 from pydantic_core import core_schema
 
 Number = int | float
+LARGEST_FILE = 100_000_000
+"""Largest file that is read (bytes); a tabulated track of 100 km has a third of it."""
 
 
 class InputError(ValueError):
@@ -73,15 +77,20 @@ class Quantity:
 
     def check(self, value: Any, whole: bool = False) -> None:
         """Raise ValueError unless `value` is a number in the range; with `whole` it has to be an integer."""
-        kind = numbers.Integral if whole else numbers.Real
-        if isinstance(value, kind) and (is_number(value) or abs(value) == math.inf):
+        kind = (int, numbers.Integral) if whole else (float, int, numbers.Real)
+        if isinstance(value, kind) and not isinstance(value, bool):
             size: Any = abs(value) if self.signed else value
-            if self.low < size <= self.high or (self.closed and size == self.low):
+            inside = self.low < size <= self.high or (self.closed and size == self.low)
+            if inside and (is_number(value) or abs(value) == math.inf):  # a whole number may be too large for a float
                 return
+        raise ValueError(f"is {reprlib.repr(value)}, {self.described(whole)} is needed")
+
+    def described(self, whole: bool = False) -> str:
+        """Such as "a number above 0 up to 2 m", for messages; `whole` as in `check`."""
         number = f"a{' whole' * whole} number{' of either sign' * self.signed}"
         bounds = f"{'from' if self.closed else 'above'} {self.low:g}"
         bounds += f" up to {self.high:g}" if math.isfinite(self.high) else ""
-        raise ValueError(f"is {reprlib.repr(value)}, {number} {bounds} {self.unit}".rstrip() + " is needed")
+        return f"{number} {bounds} {self.unit}".rstrip()
 
 
 def above(low: float, high: float, unit: str = "", signed: bool = False) -> Quantity:
@@ -139,6 +148,19 @@ def _finite(value):
     return value
 
 
+def matching(pattern: str, needed: str) -> Any:
+    """Annotation of a text that matches a regular expression as a whole; `needed` describes it in the message."""
+
+    def checked(text: str) -> str:
+        if not re.fullmatch(pattern, text):
+            raise ValueError(f"is {reprlib.repr(text)}, {needed} is needed")
+        return text
+
+    return pydantic.AfterValidator(checked)
+
+
+Name = Annotated[str, matching(r"\w[\w .,+-]*", "a name of letters, digits, spaces and _ . , + -")]
+"""Annotation of a name that may become part of a file name."""
 Free = Annotated[Any, pydantic.AfterValidator(_finite)]
 """Annotation of any value that contains neither nan nor infinity."""
 
@@ -156,33 +178,66 @@ INCREASING = pydantic.AfterValidator(_increasing)
 
 def _known_keys(cls: type, value):
     """Refuse an unknown key with a list of the known ones, before pydantic looks at the values."""
-    known = [one.name for one in fields(cls)]
-    unknown = sorted(value.keys() - set(known)) if isinstance(value, dict) else []
+    known: Any = cls.__dataclass_fields__  # type: ignore[attr-defined]
+    unknown = value.keys() - known.keys() if isinstance(value, dict) else ()
     if unknown:
-        raise ValueError(f"has the unknown key {unknown[0]!r}; allowed are {known}")
+        raise ValueError(f"has the unknown key {min(unknown, key=str)!r}; allowed are {[*known]}")
     return value
 
 
 @typing.dataclass_transform(frozen_default=True, field_specifiers=(field,))
 def table(cls: type) -> type:
-    """Class decorator for what `build` reads from a file: makes a frozen dataclass that refuses unknown and missing
-    keys."""
+    """Class decorator: makes a frozen dataclass whose constructor checks and converts its arguments as `build` does
+    with the table of a file, also when `dataclasses.replace` calls it. It raises InputError, which names class and
+    field, for a wrong value and for an unknown or missing field."""
     cls._known_keys = pydantic.model_validator(mode="before")(classmethod(_known_keys))  # type: ignore
-    return dataclass(frozen=True)(cls)
+    made: Any = dataclass(frozen=True)(cls)
+    names = [one.name for one in fields(made)]
+
+    @functools.wraps(made.__init__)
+    def checked(self, *values, **named):
+        content = dict(zip(names, values, strict=False)) | named
+        if len(content) < len(values) + len(named):
+            raise InputError(f"{cls.__name__}: has more values than fields, at most one for each of {names} is needed")
+        build(made, content, cls.__name__, self)
+
+    made.__init__ = checked
+    return made
 
 
 def location(path: Path | str | None, default: Path | None = None) -> Path:
-    """`path` as a `Path`; where it is None, `default`."""
-    return Path(default if path is None else path)  # type: ignore[arg-type]
+    """`path` as a `Path`; where it is None, `default`. InputError for what is no path."""
+    chosen = default if path is None else path
+    if not isinstance(chosen, str | os.PathLike) or not str(chosen) or "\0" in str(chosen):
+        raise InputError(f"the path of a file is {reprlib.repr(chosen)}, a text or a Path is needed")
+    return Path(chosen)
+
+
+def text(path: Path) -> str:
+    """Text of a regular file in UTF-8. InputError when there is none, it is larger than `LARGEST_FILE`, or it cannot be
+    read; pipes and devices are not opened."""
+    try:
+        found = path.stat()
+        if not stat.S_ISREG(found.st_mode):
+            raise InputError(f"{path}: is a folder, a pipe or a device, a regular file is needed")
+        if found.st_size > LARGEST_FILE:
+            raise InputError(f"{path}: has {found.st_size / 1e6:.0f} MB, at most {LARGEST_FILE / 1e6:.0f} MB are read")
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise InputError(f"there is no file {path}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is no text in UTF-8 ({error.reason} at byte {error.start})") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
 
 
 def read(path: Path) -> Any:
     """Content of a TOML or JSON file as dicts and lists; the suffixes .json and .ipynb mean JSON. Raises InputError
-    when it cannot be read or is empty."""
-    kind = "JSON" if path.suffix in (".json", ".ipynb") else "TOML"
+    when it cannot be read (see `text`) or is empty."""
+    kind, content = "JSON" if path.suffix in (".json", ".ipynb") else "TOML", text(path)
     try:
-        content = pickle.loads(_parsed(path.read_text(encoding="utf-8"), kind))
-    except (OSError, ValueError, RecursionError) as error:
+        content = json.loads(_parsed(content, kind))
+    except (TypeError, ValueError, RecursionError) as error:
         raise InputError(f"{path.name}: cannot be read as {kind} ({error})") from error
     if not content:
         raise InputError(f"{path.name}: is empty")
@@ -190,25 +245,37 @@ def read(path: Path) -> Any:
 
 
 @functools.lru_cache(maxsize=32)
-def _parsed(text: str, kind: str) -> bytes:
-    """Content of a file, packed: its reader may change what it gets, and every run reads the same few files."""
-    return pickle.dumps(json.loads(text) if kind == "JSON" else tomllib.loads(text))
+def _parsed(content: str, kind: str) -> str:
+    """Content of a file as JSON: its reader may change what it gets, and every run reads the same few files."""
+    return json.dumps(json.loads(content, object_pairs_hook=_unique) if kind == "JSON" else tomllib.loads(content))
 
 
-_adapter = functools.lru_cache(pydantic.TypeAdapter)
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Dict of the pairs of a JSON object; JSON itself permits a key twice, of which the last would count."""
+    found: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in found:
+            raise ValueError(f"the key {key!r} occurs twice")
+        found[key] = value
+    return found
+
+
+_adapter = functools.cache(pydantic.TypeAdapter)
 _hints = functools.cache(typing.get_type_hints)
 
 
-def build(kind: type, content: Any, where: str) -> Any:
+def build(kind: type, content: Any, where: str, instance: Any = None) -> Any:
     """Check the content of a file and convert it to instances of a class. InputError names the first fault.
 
     Args:
         kind (type): Class marked with `table`; `dict[str, that class]` for a file of named tables, which gives a dict.
         content (Any): Dicts and lists as from `read`.
         where (str): Name of the file in the message.
+        instance (optional): Object of the class `kind` that takes the values, when a constructor calls. Validators see
+            as `context` of pydantic whether the content is that of a file.
     """
     try:
-        return _adapter(kind).validate_python(content)
+        return _adapter(kind).validator.validate_python(content, self_instance=instance, context=instance is None)
     except pydantic.ValidationError as error:
         finding = error.errors(include_url=False)[0]
     missing = finding["type"] == "missing"
@@ -251,7 +318,7 @@ def write(path: Path, content: str | bytes) -> None:
 def alone(lock: Path) -> Iterator[None]:
     """Context manager that holds an exclusive lock on the file `lock`, after waiting for it. The lock ends with the
     context or with the process."""
-    with open(lock, "a") as guard:
+    with open(lock, "a", encoding="utf-8") as guard:
         fcntl.flock(guard, fcntl.LOCK_EX)
         yield
 

@@ -24,7 +24,7 @@ _PROCESSOR = Path("/proc/cpuinfo")
 @cache
 def has_avx2() -> bool:
     """Whether the processor has the instructions AVX2 according to /proc/cpuinfo; False without that file."""
-    return _PROCESSOR.exists() and "avx2" in _PROCESSOR.read_text().split()
+    return _PROCESSOR.exists() and "avx2" in _PROCESSOR.read_text(encoding="utf-8").split()
 
 
 def variables() -> dict[str, str]:

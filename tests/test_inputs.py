@@ -20,6 +20,7 @@ from pathlib import Path
 import inputs
 import numpy as np
 import pytest
+from program import python
 
 import railrepro
 from railrepro import paths
@@ -93,6 +94,13 @@ def test_settings_of_controllers_refuse_what_is_no_number_of_a_possible_size(kin
             with pytest.raises(InputError) as refused:
                 kind(**{name: value})
             assert f" {name} " in str(refused.value) and len(str(refused.value).splitlines()) == 1
+
+
+def test_text_is_read_as_utf_8_in_any_locale():
+    """The page and the sources in C have letters beyond ASCII."""
+    ascii_only = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    done = python("-c", "from railrepro.export import live; live.page({})", **ascii_only)
+    assert done.returncode == 0, done.stderr[-500:]
 
 
 def test_every_command_leads_to_a_function():

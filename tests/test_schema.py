@@ -2,7 +2,10 @@
 
 import json
 import math
+import os
 import re
+import shutil
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -81,6 +84,44 @@ def test_every_number_of_a_file_has_a_range_and_is_refused_beyond_it_with_its_ke
                 RANGED[name](Path(name))
             assert key in str(refused.value) and len(str(refused.value).splitlines()) == 1, refused.value
         holder[last] = number
+
+
+def instances(value):
+    """Dataclass instances among some values and in each other, one of each class."""
+    found = {type(value): value} if is_dataclass(value) else {}
+    parts = vars(value) if found else value
+    for part in parts.values() if isinstance(parts, dict) else parts if isinstance(parts, tuple) else ():
+        found = instances(part) | found
+    return found
+
+
+MADE = instances((load_vehicle(), load_loop(), *load_scenarios().values(), chain.load(), *track_quality().values()))
+
+
+@pytest.mark.parametrize("made", MADE.values(), ids=lambda made: type(made).__name__)
+def test_a_constructor_refuses_the_numbers_that_a_file_may_not_have(made):
+    assert replace(made) == made
+    for name in [one.name for one in fields(made) if type(getattr(made, one.name)) in (int, float)]:
+        for value in WRONG:
+            with pytest.raises(InputError, match=rf"^{type(made).__name__}: {name}\b.*needed") as refused:
+                replace(made, **{name: value})
+            assert len(str(refused.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("name", READERS)
+@pytest.mark.timeout(60)  # a reader that opens the pipe waits for ever
+def test_only_regular_files_up_to_a_size_are_read(name, tmp_path, monkeypatch):
+    file = tmp_path / Path(name).name
+    with pytest.raises(InputError, match=rf"there is no file {file}|there is no tuned set"):
+        READERS[name](file)
+    os.mkfifo(file)
+    with pytest.raises(InputError, match="a regular file is needed"):
+        READERS[name](file)
+    file.unlink()
+    shutil.copy(paths.ROOT / name, file)
+    monkeypatch.setattr("railrepro.data.LARGEST_FILE", file.stat().st_size - 1)
+    with pytest.raises(InputError, match="at most .* MB are read"):
+        READERS[name](file)
 
 
 def broken_content(draw, content):

@@ -42,7 +42,7 @@ ENERGIES = ("mechanical_J", "motor_W", "damping_W", "creep_W")
 """Keys of `SteppedCar.energies`: mechanical energy (J), motor power, loss in dampers, loss by creep (W)."""
 
 
-_SOURCE = Path(__file__).with_name("car.c").read_text()
+_SOURCE = Path(__file__).with_name("car.c").read_text(encoding="utf-8")
 _SIZES = {"N_STATE": len(equations.STATES), "N_OUTPUT": len(names(Outputs)), "N_PAR": len(equations.PARAMETERS)}
 _SIZES |= {"BODIES": len(equations.BODIES), "WHEELS": len(equations.WHEELS)}
 _SIZES |= {"N_CELL": len(COLUMNS), "N_CONTACT": len(CELL_COLUMNS)}

@@ -28,9 +28,9 @@ from railrepro.compile import cache
 from railrepro.data import InputError, write
 
 Built = TypeVar("Built")
-ELEMENTARY = Path(__file__).with_name("elementary.c").read_text()
+ELEMENTARY = Path(__file__).with_name("elementary.c").read_text(encoding="utf-8")
 """C source of elementary functions (sin, exp, …) that replace the system's and give the same bits on all machines."""
-PREAMBLE = Path(__file__).with_name("call.h").read_text()
+PREAMBLE = Path(__file__).with_name("call.h").read_text(encoding="utf-8")
 """C source that stands before all hand-written C."""
 
 

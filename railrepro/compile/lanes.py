@@ -70,7 +70,7 @@ class Statements:
 def lanes_header(lanes: int = 4) -> str:
     """C source to place between `codegen.source_text` and the text of `lanes_text` or `pairs_text`. `lanes` is the
     number of doubles per register: 4 for `lanes_text`, 2 for `pairs_text`."""
-    return f"#define LANES {lanes}\n{Path(__file__).with_name('lanes.h').read_text()}{ELEMENTARY}"
+    return f"#define LANES {lanes}\n{Path(__file__).with_name('lanes.h').read_text(encoding='utf-8')}{ELEMENTARY}"
 
 
 def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:

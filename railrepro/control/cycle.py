@@ -17,9 +17,9 @@ from railrepro.track.route import COLUMNS
 SAMPLE = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, *[ctypes.POINTER(ctypes.c_double)] * 2, ctypes.c_double)
 """C function of a slower controller, `sample_t` of slots.c: (address of its memory, states (6,) of its gear as
 `control_model.STATES`, readings (3,) as `interface.ReadGear`, base torque (N m)) -> differential torque (N m)."""
-SLOTS = Path(__file__).with_name("slots.c").read_text()
+SLOTS = Path(__file__).with_name("slots.c").read_text(encoding="utf-8")
 """C text, default `planners` of `c_text`: calls the slower controllers through pointers to functions, see `SAMPLE`."""
-_SOURCE = Path(__file__).with_suffix(".c").read_text()
+_SOURCE = Path(__file__).with_suffix(".c").read_text(encoding="utf-8")
 
 
 def _sizes(signature: law.LawSignature, parameters: int) -> dict[str, int]:

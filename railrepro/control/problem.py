@@ -125,6 +125,10 @@ def torque_limit() -> ca.Function:
     return ca.Function("torque_limit", [speed, par, numbers], [ca.SX(limit)])
 
 
+LARGEST_WEIGHT = 1e9
+"""Largest weight of a state over that of y (1/m^2)."""
+
+
 @dataclass(frozen=True)
 class MPCSettings:
     """Settings of a predictive controller: weights, horizon, prediction model, bounds. InputError for a wrong value."""
@@ -162,8 +166,8 @@ class MPCSettings:
             raise InputError(f"MPCSettings: period is {self.period:g} s, a whole number of ms is needed")
         q = self.q_diag
         numbers = isinstance(q, tuple | list) and len(q) == len(STATES) and all(map(is_number, q))
-        if not numbers or min(q) < 0 or q[Y] <= 0:
-            needed = f"{len(STATES)} weights not below 0, that of y above, are needed"
+        if not numbers or min(q) < 0 or max(q) > LARGEST_WEIGHT or q[Y] <= 0:
+            needed = f"{len(STATES)} weights from 0 up to {LARGEST_WEIGHT:g}, that of y above 0, are needed"
             raise InputError(f"MPCSettings: q_diag is {q!r}, {needed}")
 
     def tuning(self) -> np.ndarray:

@@ -4,7 +4,6 @@ data/tuning.toml gives. Serves the paper's section Multi-Body Simulation Results
 
 from __future__ import annotations
 
-import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -15,7 +14,7 @@ from railrepro import data, paths
 from railrepro.control.lateral import ZeroOrderHold
 from railrepro.control.mpc import LTVMPC, NMPC
 from railrepro.control.ndi import NDI
-from railrepro.control.problem import MPCSettings
+from railrepro.control.problem import LARGEST_WEIGHT, MPCSettings
 from railrepro.data import InputError, above, require
 from railrepro.model.control_model import STATES
 
@@ -38,6 +37,14 @@ class Controller:
     """Whether the controller knows set point and track ahead."""
     quick: dict = field(default_factory=dict)
     """Argument `options` of `guidance` for studies with many runs: a faster solver with nearly the same torques."""
+    needed: tuple[str, ...] = ()
+    """Names of the tuning parameters without which `guidance` makes none."""
+
+
+_POLES = ("pole", "frequency", "damping")
+_RANGES = dict.fromkeys(("q_psi_TrAx", "q_psidot_Ax"), above(0.0, LARGEST_WEIGHT))
+_RANGES |= {"period_ms": above(0.0, 1e3, "ms"), "horizon_s": above(0.0, 100.0, "s")}
+_MPC = (*_RANGES, "r", "q_terminal")
 
 
 def mpc_settings(parameters: dict) -> MPCSettings:
@@ -48,8 +55,9 @@ def mpc_settings(parameters: dict) -> MPCSettings:
     limited to 5 to 100.
     """
     p = dict(parameters)
+    for name, allowed in _RANGES.items():
+        require(f"MPC: {name}", p[name], allowed)
     period = 1e-3 * p.pop("period_ms")
-    require("MPC: horizon_s", p["horizon_s"], above(0.0, 100.0, "s"))
     steps = min(max(round(p.pop("horizon_s") / period), 5), 100)
     weights = {"psidot_Ax": p.pop("q_psidot_Ax"), "y_TrAx": 1.0, "psi_TrAx": p.pop("q_psi_TrAx")}
     return MPCSettings(tuple(weights.get(name, 0.0) for name in STATES), period=period, steps=steps, **p)
@@ -74,11 +82,12 @@ class Predictive:
 
 
 def _predictive(kind: type, quick: dict | None = None, **options) -> Controller:
-    return Controller(partial(Predictive, kind, options=tuple(options.items())), mpc_settings, True, quick or {})
+    build = partial(Predictive, kind, options=tuple(options.items()))
+    return Controller(build, mpc_settings, True, quick or {}, _MPC)
 
 
-def _inversion(**fixed) -> Controller:
-    return Controller(lambda settings: settings, lambda parameters: NDI(**parameters, **fixed), False)
+def _inversion(*more: str, **fixed) -> Controller:
+    return Controller(lambda settings: settings, lambda given: NDI(**given, **fixed), False, needed=(*_POLES, *more))
 
 
 NOTHING = "nothing"
@@ -87,17 +96,18 @@ OURS = "lqg_preview"
 """Name of the controller of this project, which the paper does not have; no claim is judged with it."""
 CONTROLLERS = {
     "nmpc": _predictive(NMPC, {"solver": "rti"}),
-    "nmpc_observer": _predictive(NMPC, {"solver": "rti"}),
+    "nmpc_observer": replace(_predictive(NMPC, {"solver": "rti"}), needed=(*_MPC, "observer")),
     "ltv_mpc": _predictive(LTVMPC),
     "ltv_mpc_printed": _predictive(LTVMPC, printed=True),
     "ndi": _inversion(),
     "ndi_feedforward": _inversion(rates=True),
-    "ndi_integral": _inversion(rates=True),
+    "ndi_integral": _inversion("integral", rates=True),
     # imported when it is asked for, so that the paper's controllers do not stand on ours
     OURS: Controller(
         lambda settings: settings,
         lambda parameters: resolve_name("railrepro.own.lqg:LqgPreview")(**parameters),
         True,
+        needed=("change",),
     ),
     NOTHING: Controller(lambda settings: ZeroOrderHold(), dict, False),  # the torque of none, which is 0
 }
@@ -131,15 +141,19 @@ def guidance(name: str, parameters: dict, options: dict | None = None, **changes
         options (dict, optional): Further arguments of a predictive controller, such as {"solver": "rti"}.
         changes (optional): Fields of `MPCSettings` or `NDI` by name. They replace what follows from `parameters`.
     """
-    if name not in tuple(CONTROLLERS):
+    require("controller", name, str)
+    if name not in CONTROLLERS:
         raise InputError(f"controller {name!r} is not known; there are {sorted(CONTROLLERS)}")
+    require(f"controller {name}: parameters", parameters, dict)
+    require(f"controller {name}: options", {} if options is None else options, dict)
     controller = CONTROLLERS[name]
+    for each in controller.needed:
+        if each not in parameters:
+            raise InputError(f"controller {name}: the parameter {each!r} is missing; found {sorted(parameters)}")
     try:
         settings = controller.settings(parameters)
         built = controller.build(settings=replace(settings, **changes) if changes else settings)
         return replace(built, options=(*built.options, *options.items())) if options else built
-    except KeyError as error:
-        raise InputError(f"controller {name}: the parameter {error} is missing; found {sorted(parameters)}") from error
     except (TypeError, AttributeError, ArithmeticError) as error:
         raise InputError(f"controller {name}: takes no such parameters, options or changes ({error})") from error
 
@@ -154,10 +168,9 @@ def read(controller: str, setting: str = PAPER, folder: Path | None = None) -> d
     if not file.exists():
         raise InputError(f"{setting}/{file.name}: there is no tuned set for {controller!r}; `make tune` makes it")
     content = data.read(file)
-    if not isinstance(content, dict) or not isinstance(content.get("parameters"), dict):
-        raise InputError(f"{file.name}: is {reprlib.repr(content)}, a table with the table parameters is needed")
-    for part in (content["parameters"], content):  # so that a message names the parameter
-        data.build(dict[str, data.Free], part, file.name)
+    parameters = content.get("parameters") if isinstance(content, dict) else None
+    data.build(dict[str, data.Plain], parameters, f"{file.name}: parameters")
+    data.build(dict[str, data.Free], content, file.name)
     found = content.get("controller"), content.get("setting")
     if found != (controller, setting):
         raise InputError(f"{file.name}: holds a tuned set of {found[0]!r} in the setting {found[1]!r}")
@@ -171,8 +184,9 @@ def tuned_set(controller: str, setting: str = PAPER) -> dict:
     `read`. InputError if the setting is not in `SETTINGS`, or there are no parameters.
     """
     require("controller", controller, str)
+    require("setting", setting, str)
     if setting not in SETTINGS:
-        raise InputError(f"setting {reprlib.repr(setting)} is not known; there are {sorted(SETTINGS)}")
+        raise InputError(f"setting {setting!r} is not known; there are {sorted(SETTINGS)}")
     designed = data.read(paths.source("data/tuning.toml"))["setting"][setting].get("designed", {})
     if controller not in designed:
         return read(controller, setting)

@@ -202,6 +202,7 @@ class Readings:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        data.require("Readings: loop", self.loop, Loop)
         data.require("Readings: seed", self.seed, data.between(0, math.inf), whole=True)
 
     def gains(self, gear: int) -> Any:
@@ -209,8 +210,7 @@ class Readings:
         draw, loop, entries = np.random.default_rng((self.seed, gear)), self.loop, []
         for of_signal in _GROUP.values():
             sensor = getattr(loop, of_signal)
-            sensor = replace(sensor, bias=sensor.bias * draw.uniform(-1.0, 1.0))
-            entries += [getattr(sensor, name) for name in _QUALITY]
+            entries += [sensor.noise, sensor.bias * draw.uniform(-1.0, 1.0), sensor.resolution]
         delays = loop.latency.measurement, loop.latency.command, loop.inverter.delay
         entries += [delay / CONTROL_PERIOD for delay in delays]
         return unpack(SensorGains, [*entries, loop.inverter.gain, float(self.seed % 1_000_003), loop.lateral.base])

@@ -51,5 +51,5 @@ def car_fmu(car: SteppedCar, speed: float, road: Callable = constant) -> Fmu:
     text = component.c_text(equations.rest(car.table)) + codegen.defines(numbers)
     text += f"static const car_t CAR = {codegen.initialiser(car.c)};\n" + road("CELLS", car.route.cells)
     text += constant("CONTACTS", car.table.cells()) + parameters_text(found)
-    text += Path(__file__).with_name("car_fmu.c").read_text()
+    text += Path(__file__).with_name("car_fmu.c").read_text(encoding="utf-8")
     return Fmu("car", "Multibody car on independently rotating wheels", outputs, INPUTS, LARGEST_TORQUE, found, text)

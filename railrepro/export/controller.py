@@ -35,7 +35,7 @@ TORQUES = INPUTS
 _LARGEST = 1e9
 """Largest magnitude of what is measured (SI)."""
 _HERE = Path(__file__).parent
-_AS_FMU = (_HERE / "controller_fmu.c").read_text()
+_AS_FMU = (_HERE / "controller_fmu.c").read_text(encoding="utf-8")
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,8 @@ class Export:
         text = codegen.source_text(functions) + codegen.PREAMBLE + codegen.defines(numbers)
         text += index_enum("MEASURED", interface.MEASURED) + index_enum("TORQUE", TORQUES)
         text += road("CELLS", self.route.cells) + parameters_text(found)
-        text += cycle.c_text(control.signature, len(found), slower) + (_HERE / "controller.c").read_text() + _AS_FMU
+        text += cycle.c_text(control.signature, len(found), slower)
+        text += (_HERE / "controller.c").read_text(encoding="utf-8") + _AS_FMU
         description = "Controller of two running gears with independently rotating wheels"
         return Fmu("controller", description, TORQUES, interface.MEASURED, _LARGEST, found, text)
 
@@ -126,4 +127,5 @@ def _solver(planners: list[PredictiveController], signature: law.LawSignature) -
     text = codegen.defines({"STEPS": settings.steps, "N_NOMINAL": len(NOMINAL), "DRIVE": drive.torque_limit})
     text += riccati.c_text(settings.variant, settings.discretisation)
     gears = ", ".join(codegen.initialiser(planner.c) for planner in planners)
-    return text + f"static const horizon_t PLANNERS[] = {{{gears}}};\n" + (_HERE / "planner_memory.c").read_text()
+    text += f"static const horizon_t PLANNERS[] = {{{gears}}};\n"
+    return text + (_HERE / "planner_memory.c").read_text(encoding="utf-8")

@@ -93,7 +93,7 @@ class Fmu:
         lowest, highest = np.transpose(limits)
         text = self.text + constant("LOWEST", lowest) + constant("HIGHEST", highest)
         text += codegen.defines({"FMU_NAME": f'"{self.name}"', "PERIOD": CONTROL_PERIOD})
-        text += (_HERE / "fmi2.c").read_text()
+        text += (_HERE / "fmi2.c").read_text(encoding="utf-8")
         guid = str(uuid.uuid5(uuid.NAMESPACE_URL, f"railrepro {text}{self.model_description('')}"))
         compiled, packed = cache.build(text, portable=True), io.BytesIO()
         with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -117,7 +117,7 @@ class Fmu:
             f"<Real {number}/></ScalarVariable>"
             for i, (name, causality, variability, number) in enumerate(shown)
         )
-        return Template((_HERE / "modelDescription.xml").read_text()).substitute(
+        return Template((_HERE / "modelDescription.xml").read_text(encoding="utf-8")).substitute(
             identifier=f"railrepro_{self.name}",
             description=self.description,
             guid=guid,

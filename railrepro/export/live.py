@@ -67,7 +67,7 @@ def _packed(content: bytes | np.ndarray) -> str:
 
 def _module(of: Fmu) -> dict:
     """A module of WebAssembly as the page has it."""
-    compiled = cache.build(of.text + (_HERE / "module.c").read_text(), webassembly=True).read_bytes()
+    compiled = cache.build(of.text + (_HERE / "module.c").read_text(encoding="utf-8"), webassembly=True).read_bytes()
     return {"module": _packed(compiled), "parameters": [asdict(one) for one in of.parameters]}
 
 
@@ -116,9 +116,10 @@ def _experiment(scenario: Scenario) -> dict:
 
 def page(found: dict) -> str:
     """HTML text of the live page with the dict `found`, from `content`, embedded in it."""
-    text = (_HERE / "page.html").read_text()
+    text = (_HERE / "page.html").read_text(encoding="utf-8")
     for name in ("uPlot.min.css", "page.css", "uPlot.iife.min.js", "car.mjs", "page.js"):
-        text = text.replace(f"/* {name} */", (_HERE / name).read_text().replace("</script", "<\\/script"))
+        part = (_HERE / name).read_text(encoding="utf-8").replace("</script", "<\\/script")
+        text = text.replace(f"/* {name} */", part)
     return text.replace("/* content */", json.dumps(found).replace("</", "<\\/"))
 
 
@@ -126,6 +127,6 @@ def main() -> None:
     """Write build/live/index.html, and beside it car.mjs and content.json (the dict of `content`)."""
     found, folder = content(), paths.BUILD / "live"
     write(folder / "index.html", page(found))
-    write(folder / "car.mjs", (_HERE / "car.mjs").read_text())
+    write(folder / "car.mjs", (_HERE / "car.mjs").read_text(encoding="utf-8"))
     write(folder / "content.json", json.dumps(found))
     print(f"{folder / 'index.html'}: {(folder / 'index.html').stat().st_size / 1e6:.2f} MB")

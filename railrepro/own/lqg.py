@@ -199,7 +199,7 @@ def designs(vehicle: Vehicle, settings: LqgPreview, loop: Loop | None) -> tuple[
     return found[0].late, np.array([design.table() for design in found])
 
 
-_SOURCE = Path(__file__).with_suffix(".c").read_text()
+_SOURCE = Path(__file__).with_suffix(".c").read_text(encoding="utf-8")
 
 
 def _source(late: int, taps: int) -> tuple[str, dict[str, int]]:
@@ -269,7 +269,7 @@ class LqgGear:
         values = ",".join(float(value).hex() for value in self.tables["designs"].ravel())
         text = f"static const lqg_t LQG_GEARS[] = {{{memories}}};\nstatic const double LQG_DESIGNS[] = {{{values}}};\n"
         text += codegen.enumeration([f"LQG_ROWS = {len(self.tables['rails'])}"])
-        return _source(*self.sizes)[0] + text + Path(__file__).with_name("lqg_export.c").read_text()
+        return _source(*self.sizes)[0] + text + Path(__file__).with_name("lqg_export.c").read_text(encoding="utf-8")
 
 
 @dataclass(frozen=True)

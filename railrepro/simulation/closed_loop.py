@@ -23,7 +23,7 @@ _BLOCK = 10_000
 """Most control cycles in one call of C, whose log is allocated at once."""
 _PAUSE = 0.1
 """Time (s) after which calls of C get shorter: between them Python sees Ctrl-C."""
-_SOURCE = Path(__file__).with_name("loop.c").read_text()
+_SOURCE = Path(__file__).with_name("loop.c").read_text(encoding="utf-8")
 _MEASURED = [names(Outputs).index(name) for name in interface.MEASURED]
 """Outputs of the car that the law measures."""
 

@@ -10,7 +10,7 @@ import scipy
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.contact.creep import adhesion_maximum
 from railrepro.contact.table import middle_patch
-from railrepro.data import InputError
+from railrepro.data import InputError, require
 from railrepro.quantities import GEARS, WHEELS
 from railrepro.simulation.scenarios import Scenario
 from railrepro.vehicle.parameters import Vehicle
@@ -32,11 +32,12 @@ class Part:
     """
 
     def __init__(self, series: pd.DataFrame, of: str):
+        require("metrics: series", series, pd.DataFrame)
         self._series, self._of = series, of
 
     def __getattr__(self, name: str) -> np.ndarray:
         series, column = self._series, f"{self._of}.{name}"
-        if column not in series or series.empty or series[column].dtype.kind not in "iuf":
+        if list(series).count(column) != 1 or series.empty or series[column].dtype.kind not in "iuf":
             raise InputError(f"metrics: {column!r} is no column of numbers here, the series of a run is needed")
         return series[column].to_numpy()
 
@@ -198,6 +199,8 @@ def adhesion_limit(speed: np.ndarray, share: np.ndarray, scenario: Scenario, veh
         scenario (Scenario): Names of the good and the poor adhesion set.
         vehicle (Vehicle): Adhesion sets, wheel load and contact patch.
     """
+    require("metrics: scenario", scenario, Scenario)
+    require("metrics: vehicle", vehicle, Vehicle)
     patch = (vehicle.wheel_load, *middle_patch(vehicle), vehicle.contact.shear_modulus)
     grid = np.linspace(max(speed.min(), 1.0), max(speed.max(), 1.1), 12)
     good, poor = (
@@ -217,6 +220,7 @@ def longitudinal(series: pd.DataFrame, scenario: Scenario, vehicle: Vehicle) -> 
 
     Rows count for slip and utilisation where the front gear is faster than 2 m/s.
     """
+    require("metrics: scenario", scenario, Scenario)
     front = Part(series, "front")
     p, v = front.p, front.v
     moving = v > 2.0

@@ -107,7 +107,7 @@ class Scenario:
         set_point (dict): Lateral set point, with the fields of `NoSetPoint`, `Sine` or `Sweep`.
     """
 
-    name: str
+    name: data.Name
     track: str
     speed_kmh: Annotated[Number, between(0.5, 450.0, "km/h")]
     end_m: Annotated[Number, between(1.0, 1e5, "m")]
@@ -142,8 +142,8 @@ class Scenario:
         return self.poor_share_left or both, self.poor_share_right or both
 
     def but(self, **changes) -> Scenario:
-        """Copy with the fields in `changes` replaced. InputError for a value that data/scenarios.toml may not have."""
-        return data.build(Scenario, vars(self) | changes, "scenario")
+        """Copy with the fields in `changes` replaced. InputError as from the constructor."""
+        return replace(self, **changes)
 
     def route(self, irregularities=None, line=None) -> route.Route:
         """`Route` of length `end_m` along the track of the scenario. InputError if the track is shorter.
@@ -172,7 +172,7 @@ class Scenario:
 
     def reference(self) -> ca.Function | None:
         """Lateral set point as a CasADi function from track coordinate p (m) to y* (m). None if `kind` is "none"."""
-        point = self.set_point
+        point = {name: value for name, value in self.set_point.items() if value is not None}
         if point["kind"] == "none":
             return None
         kind, period = (1, "period_m") if point["kind"] == "sine" else (2, "period_start_m")

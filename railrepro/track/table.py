@@ -228,10 +228,7 @@ def read_table(path: Path | str) -> pd.DataFrame:
 
 def _cells(file: Path) -> pd.DataFrame:
     """Cells of a track file as text, indexed by the number of their line. InputError for wrong columns."""
-    try:
-        lines = file.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, ValueError) as error:
-        raise InputError(f"{file.name}: cannot be read as CSV ({error})") from error
+    lines = data.text(file).removeprefix("\ufeff").splitlines()
     used = {n: line for n, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")}
     rows = {n: [cell.strip(' "') for cell in line.split(",")] for n, line in used.items()}
     if len(rows) < 3:

@@ -36,24 +36,38 @@ class Entry:
 
 @dataclass(frozen=True)
 class Parameter(data.Quantity):
-    """Unit and permitted range of a field whose value stands in a file as an `Entry` with the same unit."""
+    """Unit and permitted range of a field whose value stands in a file as an `Entry` with the same unit. A constructor
+    takes the value itself."""
 
     def __get_pydantic_core_schema__(self, source, handler):
         value = super().__get_pydantic_core_schema__(source, handler) if source is float else handler(source)
-        stated = core_schema.no_info_plain_validator_function(self._stated)
-        return core_schema.chain_schema([handler.generate_schema(Entry), stated, value])
+
+        def stated(given, entry, info):
+            return self._stated(entry(given)) if info.context else given
+
+        return core_schema.chain_schema(
+            [core_schema.with_info_wrap_validator_function(stated, handler.generate_schema(Entry)), value]
+        )
 
     def _stated(self, entry: Entry):
         if entry.unit != self.unit:
             raise ValueError(f"has the unit {entry.unit!r}, {self.unit!r} is needed")
-        numbers = [*entry.range, entry.value] if isinstance(entry.range, list) else []
-        around = len(numbers) == 3 and all(map(data.is_number, numbers)) and numbers[0] <= numbers[2] <= numbers[1]
-        if entry.range != "fixed" and not around:
+        if entry.range != "fixed" and not self._around(entry.value, entry.range):
             raise ValueError(
-                f'= {reprlib.repr(entry.value)} with range {reprlib.repr(entry.range)}, "fixed" or numbers [low, high] '
-                "around the value are needed"
+                f'= {reprlib.repr(entry.value)} with range {reprlib.repr(entry.range)}, "fixed" or [low, high] around '
+                f"the value is needed, each {self.described()}"
             )
         return entry.value
+
+    def _around(self, value, ends) -> bool:
+        """Whether `ends` are two permitted numbers around a value: studies sample up to both."""
+        try:
+            low, high = ends
+            self.check(low)
+            self.check(high)
+            return low <= value <= high
+        except (TypeError, ValueError):
+            return False
 
 
 def _from_zero(high: float, unit: str) -> Parameter:
@@ -315,17 +329,21 @@ def loaded(kind: type, file: Path, overrides: dict) -> tuple[Any, dict[str, dict
     (SI) by dotted key; the range of such a parameter becomes "fixed". InputError for a wrong file, key or value.
     """
     content = data.read(file)
-    built, entries = data.build(kind, content, file.name), dict(_entries(content))
+    entries = dict(_entries(content))
     for key, value in overrides.items():
         if key not in entries:
             raise InputError(f"override {key!r} is not a key of {file.name}; there are {', '.join(entries)}")
         entries[key].update(value=value, range="fixed")
-    return data.build(kind, content, file.name) if overrides else built, entries
+    return data.build(kind, content, file.name), entries
 
 
-def _entries(content: dict, place: str = "") -> Iterator[tuple[str, dict]]:
-    for key, table in content.items():
-        yield from [(place + key, table)] if "value" in table else _entries(table, f"{place}{key}.")
+def _entries(table: Any, key: str = "") -> Iterator[tuple[str, dict]]:
+    """Entries of a table and of those in it, by dotted key; what is no table is left to `data.build`."""
+    if isinstance(table, dict) and "value" in table:
+        yield key, table
+    elif isinstance(table, dict):
+        for name, part in table.items():
+            yield from _entries(part, f"{key}.{name}".lstrip("."))
 
 
 def sample_ranges() -> dict[str, tuple[float, float]]:

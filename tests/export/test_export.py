@@ -17,6 +17,7 @@ from railrepro.control.registry import guidance
 from railrepro.estimation.sensors import readings
 from railrepro.export.car import export_fmu
 from railrepro.export.controller import TORQUES, Export
+from railrepro.own.lqg import LqgPreview
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.vehicle.parameters import load_vehicle
@@ -29,7 +30,7 @@ GUIDANCE = {
     "nmpc_observer": guidance("nmpc_observer", MPC | {"observer": 0.05}, REAL_TIME),
     "ltv_mpc": guidance("ltv_mpc", MPC),
     "ltv_mpc_printed": guidance("ltv_mpc_printed", MPC),
-    "lqg_preview": guidance("lqg_preview", {}),
+    "lqg_preview": LqgPreview(),
 }
 LAW, BRISK = NDI(30.0, 20.0, 0.8), NDI(40.0, 40.0, 1.0)
 Y = ["front.y", "rear.y"]

@@ -1,17 +1,23 @@
 # ruff: noqa: F401 (names for the calls of the table)
 """What the calls of inputs.toml are made of: things that are right, and ways to spoil one of them."""
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 
-from railrepro import NDI, figures, load_scenario, load_track, load_vehicle, paths, simulate
+from railrepro import NDI, Readings, figures, load_loop, load_scenario, load_track, load_vehicle, paths, simulate
 from railrepro.contact.table import contact_table
 from railrepro.control import registry
-from railrepro.control.registry import guidance
-from railrepro.evidence.claims import statements
+from railrepro.control.registry import guidance, parameters
+from railrepro.estimation.sensors import Latency
+from railrepro.evidence.chain import chain
+from railrepro.evidence.claims import calibrated, statements
 from railrepro.evidence.report import flips
+from railrepro.simulation import metrics
+from railrepro.simulation.scenarios import Scenario, load_scenarios
 from railrepro.studies import preview
 from railrepro.track import route
 from railrepro.track.alignment import alignments
@@ -54,11 +60,32 @@ def file(text, read, name="mine.csv"):
     return read(Path(name))
 
 
-def edited(name, old, new, read):
+def edited(name, old, new, read, folder="data"):
     """Read a file of the project with a passage replaced."""
-    text = (paths.ROOT / "data" / name).read_text()
+    text = (paths.ROOT / folder / name).read_text(encoding="utf-8")
     assert old in text, "the row is out of date"
     return file(text.replace(old, new, 1), read, name)
+
+
+def choice(old, new):
+    return edited("paper_like.toml", old, new, calibrated.load)
+
+
+def answer(question, values):
+    """Read the open questions with an answer to one of them."""
+    text = (paths.ROOT / "data/answers.toml").read_text(encoding="utf-8")
+    return file(
+        re.sub(rf"(\[{question}\].*?answer = )\[\]", rf"\g<1>{values}", text, flags=re.S), flips.load, "mine.toml"
+    )
+
+
+def ndi(pole):
+    """Read the tuned set of NDI with another text in place of its pole."""
+    text = (paths.ROOT / "data/tuned/equal/ndi.json").read_text(encoding="utf-8")
+    edited = re.sub(r'"pole": [\d.]+', pole, text, count=1)
+    return file(
+        edited, lambda path: guidance("ndi", registry.read("ndi", "equal", path.parent)["parameters"]), "ndi.json"
+    )
 
 
 def line(text):

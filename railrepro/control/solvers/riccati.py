@@ -25,7 +25,9 @@ from railrepro.track.route import CELL, COLUMNS, Route
 
 MOST_SETS = 8
 """Number of active sets tried in one quadratic problem; after them the interior point method solves it."""
-_SOURCES = [Path(__file__).with_name(name).read_text() for name in ("riccati.c", "interior.c", "planner.c")]
+_SOURCES = [
+    Path(__file__).with_name(name).read_text(encoding="utf-8") for name in ("riccati.c", "interior.c", "planner.c")
+]
 
 
 @lru_cache

@@ -30,6 +30,8 @@ from railrepro.vehicle.parameters import load_vehicle
 
 Reads = dict[str, list[str]]
 """Path of a file that a notebook read -> names of the entries that it took; [`paths.ALL`] for all."""
+_PRODUCT = Annotated[str, data.matching(r"(data|figures)(/\w[\w.-]*)+", "a path below data/ or figures/")]
+_FIGURE = Annotated[str, data.matching(r"fig\d\d_\w+", "a name of the form figNN_name")]
 EDITED = "an input was edited while it ran"
 
 
@@ -42,10 +44,10 @@ class Notebook:
     run time (min), `seed` the random seed that it uses (None if it uses none).
     """
 
-    name: str
+    name: data.Name
     title: str
-    writes: tuple[str, ...] = ()
-    figures: tuple[str, ...] = ()
+    writes: tuple[_PRODUCT, ...] = ()
+    figures: tuple[_FIGURE, ...] = ()
     parameters: dict[str, data.Free] = field(default_factory=dict)
     test_parameters: dict[str, data.Free] = field(default_factory=dict)
     minutes: Annotated[Number, above(0.0, 1e4, "min")] = 1.0
@@ -80,9 +82,9 @@ class Chain:
     verify: compare.Tolerance = compare.Tolerance()
 
 
-def load(file: Path | None = None) -> Chain:
+def load(path: Path | str | None = None) -> Chain:
     """Read the chain of notebooks from a TOML file (default notebooks/chain.toml); InputError for wrong entries."""
-    file = file or paths.NOTEBOOKS / "chain.toml"
+    file = data.location(path, paths.NOTEBOOKS / "chain.toml")
     return data.build(Chain, data.read(file), file.name)
 
 

@@ -51,19 +51,31 @@ class Choice:
     nominal: Any
     value: Any
     unit: str
-    range: Annotated[list[data.Number], Field(min_length=2, max_length=2)] | Literal["free"]
+    range: Annotated[list[data.Plain], Field(min_length=2, max_length=2)] | Literal["free"]
     source: str
     statements: tuple[str, ...]
     why: str
+
+    def __post_init__(self) -> None:
+        within = self.range == "free" or all(
+            data.is_number(value) and self.range[0] <= value <= self.range[1] for value in (self.nominal, self.value)
+        )
+        if not within:
+            needed = '"free" or [low, high] around both is needed'
+            raise ValueError(f"goes from {self.nominal!r} to {self.value!r} with range {self.range}, {needed}")
 
 
 def load(path: Path | str | None = None) -> dict[str, Choice]:
     """Choices for the calibrated car in a TOML file (default data/paper_like.toml), by name; InputError if wrong."""
     file = data.location(path, paths.source("data/paper_like.toml"))
-    choices = data.build(dict[str, Choice], data.read(file), file.name)
+    choices, known = data.build(dict[str, Choice], data.read(file), file.name), statements.load()
+    for name, choice in choices.items():
+        if unknown := sorted(set(choice.statements) - set(known)):
+            raise InputError(f"{file.name}: {name}.statements has {unknown[0]!r}, which is no id of claims.toml")
     try:
-        setup(_values(choices)).car()
-    except (InputError, TypeError) as error:
+        setup({name: choice.nominal for name, choice in choices.items()}).checked()
+        setup(_values(choices)).checked()
+    except InputError as error:
         raise InputError(f"{file.name}: {error}") from None
     return choices
 

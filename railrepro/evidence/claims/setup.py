@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Annotated, Any
 
-from railrepro.control.registry import LOOP, PAPER, PAPER_TRIO, with_r_times
-from railrepro.data import InputError
+from railrepro.control.registry import LOOP, PAPER, PAPER_TRIO, guidance, with_r_times
+from railrepro.data import InputError, above, check_fields, require
 from railrepro.evidence.claims.statements import BRAKE, MPC, NDI, T3
 from railrepro.simulation.scenarios import Scenario, load_scenario
 from railrepro.studies.world import World
 from railrepro.track.alignment import Alignment, alignments
 from railrepro.tuning import sets
+
+_FACTOR = Annotated[float, above(0.0, 1e6)]
 
 
 @dataclass(frozen=True)
@@ -31,12 +33,24 @@ class ProbeSetup(World):
     amplitude_mm: float = 3.0
     period_start_m: float = 150.0
     period_end_m: float = 40.0
-    clothoid_factor: float = 1.0
-    r_second: float = 10.0
-    r_loss: float = 1.0
-    r_brake: float = 1.0
+    clothoid_factor: _FACTOR = 1.0
+    r_second: _FACTOR = 10.0
+    r_loss: _FACTOR = 1.0
+    r_brake: _FACTOR = 1.0
     brake_sweep: dict = field(default_factory=dict)
     ltv: str = "ltv_mpc_printed"
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if self.ltv not in LTV:
+            raise InputError(f"ltv is {self.ltv!r}, one of {LTV} is needed")
+
+    def checked(self) -> ProbeSetup:
+        """This setup, after car, controllers and scenarios were made of it. InputError for a value that they refuse."""
+        self.car(), self.scenario(T3), self.scenario(BRAKE)
+        for name, parameters in self.parameters.items():
+            guidance(name, parameters)
+        return self
 
     @property
     def profile(self) -> str:
@@ -64,6 +78,8 @@ class ProbeSetup(World):
         return replace(original, segments=(straight, clothoid, *rest))
 
 
+LTV = (MPC[1], "ltv_mpc")
+"""Controllers that may stand for LTV-MPC."""
 LTV_R, POLE = "ltv_mpc_printed.r", "ndi.pole"
 _CHOICES = {one.name for one in fields(ProbeSetup)} - {one.name for one in fields(World)}
 """Fields of `ProbeSetup` that may be keys of the argument `values` of `setup`."""
@@ -97,16 +113,18 @@ def setup(
             get the true signals.
 
     Raises:
-        InputError: For a key of no such kind. Dotted keys of the vehicle are checked only when the car is built.
+        InputError: For a key of no such kind, or a factor that is none. `ProbeSetup.checked` checks the other values.
     """
     parameters = {name: _tuned(name, setting, rank) for name in controllers}
     if LTV_R in values:
+        require(LTV_R, values[LTV_R], above(0.0, 1e6))
         parameters[MPC[1]] = with_r_times(parameters["nmpc"], values[LTV_R])
     if POLE in values:
         parameters[NDI] = triple_pole(values[POLE])
     sensors = {"seed": seed} if seed is not None and setting == LOOP else {}
     vehicle: dict[str, Any] = {}
     plant = {"contact.profile": values[PROFILE]} if values.get(PROFILE) else {}
+    require("brake_sweep", values.get("brake_sweep", {}), dict)
     own: dict[str, Any] = {"brake_sweep": dict(values.get("brake_sweep", {}))}
     parts = parameters | {"brake_sweep": own["brake_sweep"]}
     for name, value in values.items():

@@ -161,6 +161,9 @@ class Statement:
             raise ValueError(f"has the evidence {self.evidence!r}, which does not exist")
         if self.kind == "statement" and self.above is None and self.below is None:
             raise ValueError("has neither above nor below; a statement needs a limit")
+        for low, high in ((self.above, self.below), (self.partly_above, self.partly_below)):
+            if low is not None and high is not None and not low < high:
+                raise ValueError(f"holds above {low} and below {high}, a lower limit below the upper one is needed")
 
     def judge(self, finding: Finding) -> str:
         """Verdict on a finding: `REPRODUCED`, `TIE`, `PARTLY` or `NOT`, the first that applies.

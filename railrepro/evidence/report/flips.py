@@ -5,7 +5,7 @@ FILE.toml is a filled copy of data/answers.toml; answers change the set-up of th
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle
 from pathlib import Path
 from typing import Annotated, Literal
@@ -17,7 +17,7 @@ from railrepro.control.registry import PAPER
 from railrepro.data import InputError
 from railrepro.evidence.claims import probe, statements
 from railrepro.evidence.claims.nominal import Nominal
-from railrepro.evidence.claims.setup import setup
+from railrepro.evidence.claims.setup import ProbeSetup, setup
 from railrepro.evidence.claims.statements import Evidence
 
 
@@ -44,7 +44,19 @@ class Question:
 def load(path: Path | str | None = None) -> dict[str, Question]:
     """Open questions of a TOML file (default data/answers.toml): name -> `Question`; InputError for wrong entries."""
     file = data.location(path, paths.source("data/answers.toml"))
-    return data.build(dict[str, Question], data.read(file), file.name)
+    questions = data.build(dict[str, Question], data.read(file), file.name)
+    for name in [name for name, question in questions.items() if question.answer]:
+        try:
+            _setup([questions[name]])
+        except InputError as error:
+            raise InputError(f"{file.name}: {name}: {error}") from None
+    return questions
+
+
+def _setup(answered: Iterable[Question]) -> ProbeSetup:
+    """Setup with the answers to questions. InputError for an answer that car, controllers or scenarios refuse."""
+    given = {key: value for each in answered for key, value in zip(each.sets, cycle(each.answer), strict=False)}
+    return setup(given, given.pop("setting", PAPER)).checked()
 
 
 def flips(answered: Mapping[str, Question]) -> pd.DataFrame:
@@ -53,16 +65,12 @@ def flips(answered: Mapping[str, Question]) -> pd.DataFrame:
     `answered` maps names to questions with an answer. Only the runs that depend on an answer are simulated again.
     Columns id, statement (its text), before, after (verdicts).
     """
-    given = {
-        key: value for each in answered.values() for key, value in zip(each.sets, cycle(each.answer), strict=False)
-    }
-    setting = given.pop("setting", PAPER)
-    probed = setup(given, setting)
-    probed.car()  # so that a value which the car refuses stops it before anything runs
+    probed = _setup(answered.values())  # a refused value stops it before anything runs
     needed = {part for question in answered.values() for part in question.parts}
     rows = probe.probe(probed, [part for part in probe.PARTS if part in needed])
     known = Nominal().evidence(PAPER)
-    scenarios, told = {scenario for scenario, *_ in rows}, {key.partition(":")[0] for key in given}
+    scenarios = {scenario for scenario, *_ in rows}
+    told = {key.partition(":")[0] for question in answered.values() for key in question.sets}
     metrics = {key: value for key, value in dict(known.metrics).items() if key[0] not in scenarios}
     # seeds of a swarm leave nothing open where the authors say what theirs found
     spread = {key: value for key, value in known.spread.items() if key[1] not in told}
