@@ -43,8 +43,6 @@ SHOWN |= {"ndi_feedforward": "NDI with rates of the set point", "ndi_integral": 
 OWN = "own"
 """Name of the controller module that holds the torque of a user's law, written in the page."""
 SETTINGS = {"paper": "paper: tuned on dry rail", "equal": "equal: all tuned alike"}
-
-
 FACTORS = {"force": between(0.0, 2.0), "r": between(1e-3, 1e4), "faster": between(0.1, 5.0)}
 """Range of what the page multiplies: the force demand, R of the predictive controllers, the poles of NDI."""
 

@@ -36,6 +36,7 @@ def browser_page(tmp_path_factory):
     (folder / "index.html").write_text(live.page(found))
     address = (folder / "index.html").as_uri()
     with opened(address, folder / "browser") as opened_page:
+        finished(opened_page)
         yield opened_page, address
 
 
@@ -113,8 +114,7 @@ def test_a_value_acts_is_marked_and_is_in_the_link(page):
     for text, value in (("friction of dry", 0.05), ("mass of the car", 50000), ("lag of", 0.03)):
         give(page, text, value)
         assert finished(page)["NMPC"][1] != error_mm("nmpc")
-        page.evaluated("document.getElementById('committed').click()")
-        finished(page)
+        press(page, "committed")
     give(page, "poles of NDI", 2)
     rows = finished(page)
     assert float(rows["NDI"][1]) < 1.5 and rows["NMPC"][1] == error_mm("nmpc")

@@ -47,8 +47,9 @@ function restore() {
   try {
     const link = JSON.parse(decodeURIComponent(location.hash.slice(1)) || "{}"), { values = {}, ...rest } = link;
     if (![link, values].every((each) => each.constructor === Object)) throw Error("no table");
-    const refused = Object.keys(rest).filter((key) => !(Object.hasOwn(fits, key) && fits[key](rest[key]) && (state[key] = rest[key], true)));
-    const why = refused.map((key) => `${key} of the link is unknown here.`);
+    const why = [];
+    for (const [key, x] of Object.entries(rest))
+      if (Object.hasOwn(fits, key) && fits[key](x)) state[key] = x; else why.push(`${key} of the link is unknown here.`);
     for (const [key, x] of Object.entries(values)) {
       const v = shownValues().find((each) => each.key === key);
       why.push(v ? put(v, x) : `${key} of the link is no value of this experiment.`);
