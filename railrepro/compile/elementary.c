@@ -1,8 +1,14 @@
+/* Copyright (C) 1993 by Sun Microsystems, Inc. All rights reserved.
+
+   Developed at SunPro, a Sun Microsystems, Inc. business.
+   Permission to use, copy, modify, and distribute this software is freely granted, provided that this notice is
+   preserved. */
+
 /* Elementary functions of generated C in place of the system's: products, sums, quotients and square roots only, without
    branches, so that they give the same bits with every compiler, library and processor of IEEE 754, one number at a time
    or, where this text stands again after lanes.h, several side by side. Errors stay below 2 units in the last place, for
    sin, cos and tan up to LARGEST_ANGLE, beyond which they give no number; pow takes exponents of magnitude up to 8 and is
-   no number for negative bases. Polynomials: FDLIBM 5.3 (Sun Microsystems 1993). */
+   no number for negative bases. Polynomials: FDLIBM 5.3, with the notice above. */
 
 #include <math.h>
 #include <string.h>

@@ -5,6 +5,8 @@ FMUs, so with the committed values its curve is that of `simulate`, bit for bit.
 from __future__ import annotations
 
 import base64
+import hashlib
+import html
 import json
 import zlib
 from dataclasses import asdict
@@ -13,19 +15,20 @@ from pathlib import Path
 
 import numpy as np
 
-from railrepro import paths
+from railrepro import data, paths
 from railrepro.car import equations
 from railrepro.car.component import SteppedCar
-from railrepro.compile import cache
+from railrepro.compile import cache, codegen
 from railrepro.control import interface
 from railrepro.control.lateral import Guidance, ZeroOrderHold
 from railrepro.control.registry import CONTROLLERS, guidance, parameters
-from railrepro.data import write
+from railrepro.data import Quantity, between, write
 from railrepro.export.car import car_fmu
 from railrepro.export.controller import Export
 from railrepro.export.fmu import Fmu
+from railrepro.quantities import notes
 from railrepro.simulation import simulate
-from railrepro.simulation.scenarios import Scenario, load_scenario
+from railrepro.simulation.scenarios import Scenario, Sine, load_scenario
 from railrepro.track.route import COLUMNS, Route
 
 _HERE = Path(__file__).with_name("page")
@@ -40,6 +43,8 @@ SHOWN |= {"ndi_feedforward": "NDI with rates of the set point", "ndi_integral": 
 OWN = "own"
 """Name of the controller module that holds the torque of a user's law, written in the page."""
 SETTINGS = {"paper": "paper: tuned on dry rail", "equal": "equal: all tuned alike"}
+FACTORS = {"force": between(0.0, 2.0), "r": between(1e-3, 1e4), "faster": between(0.1, 5.0)}
+"""Range of what the page multiplies: the force demand, R of the predictive controllers, the poles of NDI."""
 
 
 def _writable(name: str, values: np.ndarray) -> str:
@@ -77,6 +82,7 @@ def content() -> dict:
     Arrays (float64) and WebAssembly modules are compressed by zlib and then base64 text. Keys:
 
     - "columns": names of the columns of all "cells" (rows of a route);
+    - "ranges": fields of the `railrepro.data.Quantity` of each value that the page may change, by its key in the page;
     - "car": its "module", "parameters", "outputs", and the names "measured" by controllers;
     - "settings": label of each setting;
     - "controllers": by setting, then by name: "label", "module", "parameters";
@@ -97,7 +103,14 @@ def content() -> dict:
     for title, name in FIGURES.items():
         figures[name] = {"title": title, "cells": _packed(routes[name].cells)} | _experiment(scenarios[name])
     shown = {"car": car, "settings": SETTINGS, "controllers": controllers, "figures": figures}
-    return {"columns": list(COLUMNS)} | shown
+    return {"columns": list(COLUMNS), "ranges": _ranges()} | shown
+
+
+def _ranges() -> dict[str, dict]:
+    """Permitted range of each value that can be changed: of scenarios and vehicle as their classes state it."""
+    scenario = {"speed_kmh": dict(notes(Scenario))["speed_kmh"], "amplitude_mm": dict(notes(Sine))["amplitude_mm"]}
+    car = {name: note for name, note in notes(equations.CarParameters) if isinstance(note, Quantity)}
+    return {key: asdict(allowed) for key, allowed in (scenario | FACTORS | car).items()}
 
 
 def _experiment(scenario: Scenario) -> dict:
@@ -115,11 +128,17 @@ def _experiment(scenario: Scenario) -> dict:
 
 
 def page(found: dict) -> str:
-    """HTML text of the live page with the dict `found`, from `content`, embedded in it."""
-    text = (_HERE / "page.html").read_text(encoding="utf-8")
+    """HTML text of the live page with the dict `found`, from `content`, embedded in it.
+
+    Its content security policy names the embedded scripts and styles by their hashes. The page can reach no network.
+    """
+    text, notice = data.text(_HERE / "page.html"), codegen.ELEMENTARY.partition("*/")[0].removeprefix("/* ")
     for name in ("uPlot.min.css", "page.css", "uPlot.iife.min.js", "car.mjs", "page.js"):
-        part = (_HERE / name).read_text(encoding="utf-8").replace("</script", "<\\/script")
-        text = text.replace(f"/* {name} */", part)
+        source = data.text(_HERE / name).replace("</script", "<\\/script")
+        digest = base64.b64encode(hashlib.sha256(source.encode()).digest()).decode()
+        text = text.replace(f"'{name}'", f"'sha256-{digest}'").replace(f"/* {name} */", source)
+    for name, licence in (("uPlot.LICENSE", data.text(_HERE / "uPlot.LICENSE")), ("FDLIBM", notice)):
+        text = text.replace(f"/* {name} */", html.escape(licence, quote=False))
     return text.replace("/* content */", json.dumps(found).replace("</", "<\\/"))
 
 

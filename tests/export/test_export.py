@@ -3,6 +3,7 @@
 import re
 import shutil
 import subprocess
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from railrepro.control import interface
 from railrepro.control.ndi import NDI
 from railrepro.control.registry import guidance
 from railrepro.estimation.sensors import readings
+from railrepro.export import live
 from railrepro.export.car import export_fmu
 from railrepro.export.controller import TORQUES, Export
 from railrepro.own.lqg import LqgPreview
@@ -124,6 +126,15 @@ def block(language):
     page = (paths.NOTEBOOKS / "book/couple.md").read_text()
     (found,) = re.findall(rf"^```{language}\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
     return found
+
+
+def test_what_is_handed_on_has_the_notices_of_what_it_contains(units, tmp_path):
+    handed_on = [Export(LAW, SCENARIO.route()).write_source(tmp_path / "controller.c").read_text(), live.page({})]
+    handed_on += [zipfile.ZipFile(units[name]).read("sources/all.c").decode() for name in ("car", "ndi", "nmpc")]
+    for text in handed_on:
+        assert "Copyright (C) 1993 by Sun Microsystems, Inc. All rights reserved." in text
+        assert "is freely granted, provided that this notice is preserved." in " ".join(text.split())
+    assert Path(live.__file__).with_name("page").joinpath("uPlot.LICENSE").read_text() in live.page({})
 
 
 def test_the_program_of_the_page_drives_the_trajectory_of_a_run(tmp_path, monkeypatch):

@@ -1,7 +1,9 @@
-"""The live page in a real browser: the run of `simulate` bit for bit, values that act, laws of one's own, sentences."""
+"""The live page in a real browser: the run of `simulate` bit for bit, values that act, refused links and laws."""
 
 import json
+import socket
 import time
+from urllib.parse import quote
 
 import pytest
 from browser import needs_browser, opened
@@ -34,6 +36,7 @@ def browser_page(tmp_path_factory):
     (folder / "index.html").write_text(live.page(found))
     address = (folder / "index.html").as_uri()
     with opened(address, folder / "browser") as opened_page:
+        finished(opened_page)
         yield opened_page, address
 
 
@@ -56,6 +59,27 @@ def finished(page, seconds=300.0):
         if rows and not any("driving" in row[-1] for row in rows):
             return {row[0]: row for row in rows}
     raise TimeoutError(str(rows))
+
+
+def follow(page, link):
+    """Change the link of the open page; `link` is a dict or a text. Return the link that the page makes of it."""
+    text = quote(link if isinstance(link, str) else json.dumps(link))
+    return json.loads(
+        page.evaluated(
+            f"""new Promise((then) => {{addEventListener('hashchange', () => then(), {{once: true}});
+            location.hash = {json.dumps(text)};}}).then(() => decodeURIComponent(location.hash.slice(1)))"""
+        )
+    )
+
+
+def press(page, button):
+    page.evaluated(f"document.getElementById('{button}').click()")
+
+
+def run_law(page, law):
+    """Write a law into the page and press Run."""
+    page.evaluated(f"document.getElementById('law').value = {json.dumps(law)}")
+    press(page, "run")
 
 
 def give(page, text, value):
@@ -90,8 +114,7 @@ def test_a_value_acts_is_marked_and_is_in_the_link(page):
     for text, value in (("friction of dry", 0.05), ("mass of the car", 50000), ("lag of", 0.03)):
         give(page, text, value)
         assert finished(page)["NMPC"][1] != error_mm("nmpc")
-        page.evaluated("document.getElementById('committed').click()")
-        finished(page)
+        press(page, "committed")
     give(page, "poles of NDI", 2)
     rows = finished(page)
     assert float(rows["NDI"][1]) < 1.5 and rows["NMPC"][1] == error_mm("nmpc")
@@ -101,20 +124,79 @@ def test_a_value_acts_is_marked_and_is_in_the_link(page):
     give(page, "amplitude", 1.5)
     assert float(finished(page)["NDI"][1]) < 1.0
     give(page, "speed", 9999)
-    assert page.evaluated(MESSAGE) == "speed (km/h): a number from 20 to 430 is needed."
+    assert page.evaluated(MESSAGE) == "speed (km/h): a number from 0.5 up to 450 is needed."
+
+
+@pytest.mark.parametrize(
+    "link",
+    [
+        *({"values": {key: value}} for key in ("body.mass", "r", "speed_kmh") for value in (-1, None, "1", 1e99)),
+        {"values": {"amplitude_mm": 1000}},
+        {"values": {"nothing": 1}},
+        *({"values": value} for value in (None, 5, [1])),
+        {"figure": "constructor"},
+        {"setting": "toString"},
+        {"shown": ["toString"]},
+        {"shown": ["ndi"] * 2},
+        {"law": 5},
+        {"nothing": 5},
+        *("null", "5", "[1]", "{"),
+    ],
+    ids=str,
+)
+def test_a_link_is_refused_with_a_sentence_in_what_it_may_not_say(browser_page, link):
+    page, _ = browser_page
+    before = len(page.errors)
+    begin = follow(page, {"shown": ["ndi"]})
+    assert page.evaluated(MESSAGE) == ""
+    taken = follow(page, {"shown": ["ndi"]} | link if isinstance(link, dict) else link)
+    assert page.evaluated(MESSAGE).endswith((" needed.", " cannot be read.", " unknown here.", " of this experiment."))
+    assert {key: taken[key] for key in taken if key != "shown"} == {key: begin[key] for key in begin if key != "shown"}
+    assert set(taken["shown"]) <= {"nmpc", "ndi"} and "NDI" in [row[0] for row in page.evaluated(SCORES)]
+    assert page.errors[before:] == []
+
+
+def test_a_law_of_a_link_waits_for_run_and_no_law_reaches_the_network(browser_page):
+    page, _ = browser_page
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"http://127.0.0.1:{server.getsockname()[1]}/"
+        law = f"""memory.asked ??= [fetch("{address}").catch(() => 0), import("{address}").catch(() => 0)]; return 0"""
+        follow(page, {"shown": ["own", "ndi"], "law": law})
+        give(page, "amplitude", 2)
+        assert finished(page)["Law of your own"][-1] == "Waits for Run." and "press Run" in page.evaluated(MESSAGE)
+        press(page, "run")
+        assert "End of the track." in finished(page)["Law of your own"][-1]
+        server.settimeout(0.5)
+        with pytest.raises(TimeoutError):
+            server.accept()
 
 
 def test_a_law_of_ones_own_scores_and_its_faults_are_sentences(page):
     for box in ("own", "nmpc", "ndi"):
         page.evaluated(f"document.querySelector('#controllers input[value={box}]').click()")
     assert 0.5 < float(finished(page)["Law of your own"][1]) < 5
+    forged = "postMessage({number: 3, block: [Array(15).fill(0)], ended: 'forged'}); return 0"
     for law, said in (
         ("return q.nothing.y", "The law stopped at p = 0.0 m: "),
+        ("throw 5", "The law stopped at p = 0.0 m: 5."),
         ("return 1 +", "The law cannot be read: "),
+        ("}; nothing.x; {", "The law cannot be read: "),
         ("return q.p > 50 ? NaN : 0", "The law returned NaN at p = 50"),
+        ("close(); return 0", "The law gave no torque for 3 s at p = "),
+        (forged, "The law returned undefined at p = "),
     ):
-        page.evaluated(
-            f"document.getElementById('law').value = {json.dumps(law)}; document.getElementById('run').click()"
-        )
-        assert finished(page)["Law of your own"][-1] == "The law failed."
+        run_law(page, law)
+        assert finished(page, 20)["Law of your own"][-1] == "The law failed."
         assert page.evaluated(MESSAGE).startswith(said)
+
+
+@pytest.mark.parametrize("law", ["while (true) {}", "close(); return 0", "for (;;) postMessage([0, 0])"])
+def test_a_law_that_never_returns_leaves_run_and_stop_at_work(browser_page, law):
+    page, _ = browser_page
+    follow(page, {"shown": ["own"]})
+    run_law(page, law)
+    run_law(page, "return 3e5 * (q.y_ref - q.y)")
+    assert "End of the track." in finished(page, 20)["Law of your own"][-1]
+    run_law(page, law)
+    press(page, "stop")
+    assert finished(page, 20)["Law of your own"][-1] == "Stopped."

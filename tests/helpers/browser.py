@@ -58,7 +58,7 @@ def opened(url, folder, size="1440,900"):
     process, page = subprocess.Popen(browser, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL), ""
     try:
         for _ in range(600):
-            with contextlib.suppress(OSError, StopIteration):
+            with contextlib.suppress(OSError, IndexError, StopIteration):
                 port = (folder / "DevToolsActivePort").read_text().split()[0]
                 with urlopen(f"http://127.0.0.1:{port}/json") as answer:
                     page = next(one["webSocketDebuggerUrl"] for one in json.load(answer) if one["type"] == "page")

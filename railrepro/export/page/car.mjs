@@ -4,13 +4,15 @@
 //   load(content)                 what `python -m railrepro live` wrote as content.json, made ready
 //   Unit.of(given, cells)         the car or a controller: set(name, value), start(), step(), inputs, outputs, parameter(name)
 //   settings(loaded, figure)      what `drive` takes, as committed; change what you like
-//   drive(loaded, settings)       an async generator of rows, see ROW; it returns why the run ended
+//   drive(loaded, settings)       an async generator of rows, see ROW; it returns why the run ended. The controller "own" asks
+//                                 the function settings.law each millisecond: it takes [front, rear], what the two gears
+//                                 measure, and returns their differential torques (N m), or a promise of them
 //   changes(loaded, settings)     numbers of car and controller that follow from the settings
-//   lawOf(text)                   a law of one's own from its text
+//   lawOf(text)                   such a function from the text of a law, in a browser; its `end()` ends its worker
 //   score(rows)                   errors, delay, way, torques
 
 export const ROW = ["t", "p", "v", "y_ref", "y", "psi", "du", "tau_le", "tau_ri", "f_le", "f_ri", "sx_le", "sx_ri", "y_rear", "psi_rear"];
-const MS = 1e-3, DERAILED = 0.03;
+const MS = 1e-3, DERAILED = 0.03, PATIENCE = 3;
 
 /* Bytes, or numbers, from what the page embeds. */
 async function unpacked(text) {
@@ -57,7 +59,7 @@ export class Unit {
 
 export function settings(loaded, figure, controller = "nmpc", setting = "paper") {
   const { speed_kmh, set_point } = loaded.figures[figure];
-  return { figure, controller, setting, speed_kmh, amplitude_mm: set_point.amplitude_mm, force: 1, r: 1, faster: 1, car: {}, law: "" };
+  return { figure, controller, setting, speed_kmh, amplitude_mm: set_point.amplitude_mm, force: 1, r: 1, faster: 1, car: {}, law: null };
 }
 
 export function changes(loaded, s) {
@@ -80,25 +82,24 @@ function laid(loaded, s) {
   return road;
 }
 
-/* A law from the text in the page; its errors are sentences. */
+/* A law from its text, in a worker of its own: whatever the text does there, all that comes out are torques. By its address,
+   data:, the worker has an origin of its own and shares no storage with the page, whose policy gives it no network. */
 export function lawOf(text) {
-  let law;
-  try {
-    law = new Function("q", "memory", `"use strict";\n${text}`);
-  } catch (fault) {
-    throw Error(`The law cannot be read: ${fault.message}.`);
-  }
-  const memories = [{}, {}];
-  return (q, gear) => {
-    let torque;
-    try {
-      torque = law(q, memories[gear]);
-    } catch (fault) {
-      throw Error(`The law stopped at p = ${q.p.toFixed(1)} m: ${fault.message}.`);
-    }
-    if (!Number.isFinite(torque)) throw Error(`The law returned ${torque} at p = ${q.p.toFixed(1)} m; a torque (N m) is needed.`);
-    return torque;
-  };
+  const worker = new Worker(`data:text/javascript;charset=utf-8,${encodeURIComponent(`"use strict";
+    onmessage = ({ data }) => {
+      try { postMessage(data.map((q, gear) => law(q, memories[gear]))); }
+      catch (fault) { postMessage(String(fault?.message ?? fault)); }
+    };
+    const memories = [{}, {}], law = (q, memory) => {\n${text}\n};`)}`);
+  const law = (gears) => new Promise((give, refuse) => {
+    const fail = (why) => { clearTimeout(late), refuse(Error(`The law ${why}.`)); }, at = `at p = ${gears[0].p.toFixed(1)} m`;
+    const late = setTimeout(() => fail(`gave no torque for ${PATIENCE} s ${at}`), 1e3 * PATIENCE);
+    worker.onmessage = ({ data }) => { typeof data === "string" ? fail(`stopped ${at}: ${data}`) : (clearTimeout(late), give(data)); };
+    worker.onerror = (event) => { event.preventDefault(), fail(`cannot be read: ${event.message}`); };
+    worker.postMessage(gears);
+  });
+  law.end = () => worker.terminate();
+  return law;
 }
 
 export async function* drive(loaded, s) {
@@ -108,7 +109,7 @@ export async function* drive(loaded, s) {
   const [car, law] = await Promise.all([Unit.of(names, road), Unit.of(given, road)]);
   for (const [unit, of] of [[car, changed.car], [law, changed.controller]]) for (const [name, value] of Object.entries(of)) unit.set(name, value);
   car.start(), law.start();
-  const own = s.controller === "own" ? lawOf(s.law) : null, limit = car.parameter("drive.torque_limit");
+  const own = s.controller === "own", limit = car.parameter("drive.torque_limit");
   const place = (name) => names.outputs.indexOf(name), measured = names.measured.map(place), column = loaded.columns;
   const y0 = column.indexOf("y_ref"), kappa = column.indexOf("kappa");
   const cell = (p) => width * Math.min(Math.max(Math.floor((p - road[0]) / 0.5), 0), road.length / width - 1);
@@ -121,12 +122,18 @@ export async function* drive(loaded, s) {
   for (let k = 0; ; k++) {
     const x = car.outputs, [front, rear] = gears, stop = of.stop_kmh / 3.6 || -1;
     for (let i = 0; i < measured.length; i++) law.inputs[i] = x[measured[i]];
-    if (own)
-      for (const [g, at] of gears.entries()) {
+    if (own) {
+      const asked = gears.map((at) => {
         const p = x[at.p], [y_ref, dy_ref, ddy_ref] = reference(p);
-        const q = { t: k * MS, p, v: x[at.v], y: x[at.y], psi: x[at.psi_TrAx], r: x[at.psidot_Ax], kappa: road[cell(p) + kappa], y_ref, dy_ref, ddy_ref, limit };
-        law.held[g] = Math.min(Math.max(own(q, g), -limit), limit);
+        return { t: k * MS, p, v: x[at.v], y: x[at.y], psi: x[at.psi_TrAx], r: x[at.psidot_Ax], kappa: road[cell(p) + kappa], y_ref, dy_ref, ddy_ref, limit };
+      });
+      const torques = await s.law(asked);
+      for (const [g, { p }] of asked.entries()) {
+        const torque = torques?.[g];
+        if (!Number.isFinite(torque)) throw Error(`The law returned ${torque} at p = ${p.toFixed(1)} m; a torque (N m) is needed.`);
+        law.held[g] = Math.min(Math.max(torque, -limit), limit);
       }
+    }
     const failed = law.step(), [le, ri] = law.outputs;
     const beyond = x[front.p] >= of.end, slow = x[front.v] <= stop, off = Math.max(Math.abs(x[front.y]), Math.abs(x[rear.y])) >= DERAILED;
     if (k % of.stride === 0 || beyond || slow || off)

@@ -7,7 +7,8 @@ const EXAMPLE = `// proportional to the error, with yaw angle and yaw rate again
 const e = q.y_ref - q.y, course = q.dy_ref - q.psi, turn = q.v * (q.kappa + q.ddy_ref) - q.r;
 return 3e5 * e + 3e4 * q.v * course + 1e3 * q.v * turn;`;
 
-/* Values that can be changed: where they stand in the settings, text, range, step, and whether they apply. */
+/* Values that can be changed: where they stand in the settings, text, ends and step of the slider, and whether they apply. What is
+   allowed is content.ranges, as the library has it. */
 const VALUES = [
   { key: "speed_kmh", text: "speed (km/h)", low: 20, high: 430, step: 1 },
   { key: "amplitude_mm", text: "amplitude of the set point (mm)", low: 0.1, high: 6, step: 0.1 },
@@ -24,21 +25,43 @@ const labels = Object.fromEntries(Object.entries(content.controllers.paper).map(
 const stated = new Map(content.car.parameters.map((p) => [p.name, p.value]));
 const committedOf = (v, figure) => v.car ? stated.get(v.key) : settings(content, figure)[v.key];
 
-let state = restored() ?? { figure: "curve_entry_T3", setting: "paper", shown: ["nmpc", "ndi"], values: {}, law: EXAMPLE };
+let state, started = EXAMPLE;  // the law that may run: the example, or what was there when Run was pressed
 let runs = [], workers = [], pointed = null, plots = [];
 
-function restored() {
+/* Take a value, from a field or a link. The sentence why not, if it is refused. */
+function put(v, x) {
+  const { low, high, closed, signed } = content.ranges[v.key], size = signed ? Math.abs(x) : x;
+  if (!(Number.isFinite(x) && (size > low || (closed && size === low)) && size <= high))
+    return `${v.text}: a number${signed ? " of either sign" : ""} ${closed ? "from" : "above"} ${low} up to ${high} is needed.`;
+  if (x === committedOf(v, state.figure)) delete state.values[v.key]; else state.values[v.key] = x;
+}
+
+/* Take the state from the link of the page. Sentences on what in it is refused; in its place is what the page begins with. */
+function restore() {
+  state = { figure: "curve_entry_T3", setting: "paper", shown: ["nmpc", "ndi"], values: {}, law: EXAMPLE };
+  const known = (name, of) => typeof name === "string" && Object.hasOwn(of, name);
+  const fits = {
+    figure: (x) => known(x, content.figures), setting: (x) => known(x, content.settings), law: (x) => typeof x === "string",
+    shown: (x) => Array.isArray(x) && x.length <= MOST && new Set(x).size === x.length && x.every((name) => known(name, labels)),
+  };
   try {
-    const found = JSON.parse(decodeURIComponent(location.hash.slice(1)));
-    const known = found.figure in content.figures && found.setting in content.settings && found.shown.every((name) => name in labels);
-    return known ? { values: {}, law: EXAMPLE, ...found } : null;
-  } catch { return null; }
+    const link = JSON.parse(decodeURIComponent(location.hash.slice(1)) || "{}"), { values = {}, ...rest } = link;
+    if (![link, values].every((each) => each.constructor === Object)) throw Error("no table");
+    const why = [];
+    for (const [key, x] of Object.entries(rest))
+      if (Object.hasOwn(fits, key) && fits[key](x)) state[key] = x; else why.push(`${key} of the link is unknown here.`);
+    for (const [key, x] of Object.entries(values)) {
+      const v = shownValues().find((each) => each.key === key);
+      why.push(v ? put(v, x) : `${key} of the link is no value of this experiment.`);
+    }
+    return why.filter(Boolean);
+  } catch { return ["The link cannot be read."]; }
 }
 function remember() { history.replaceState(null, "", "#" + encodeURIComponent(JSON.stringify(state))); }
 
 /* Settings of a run from the values that differ from the committed ones. */
 function asked(controller) {
-  const s = { ...settings(content, state.figure, controller, state.setting), law: state.law };
+  const s = { ...settings(content, state.figure, controller, state.setting), law: started };
   for (const v of shownValues()) {
     if (!(v.key in state.values)) continue;
     if (v.car) s.car[v.key] = state.values[v.key];
@@ -54,18 +77,17 @@ function slider(v) {
   const to = (x) => (v.log ? Math.log10(x) : x), from = (x) => (v.log ? Number((10 ** x).toPrecision(3)) : x);
   box.className = "slider";
   box.innerHTML = `<span>${v.text}</span><input type="range" min="${to(v.low)}" max="${to(v.high)}" step="${v.log ? 0.05 : v.step}">
-    <input type="number" min="${v.low}" max="${v.high}" step="any" aria-label="${v.text}"><button type="button" title="committed: ${committed}" aria-label="committed value of ${v.text}">↺</button>`;
+    <input type="number" step="any" aria-label="${v.text}"><button type="button" title="committed: ${committed}" aria-label="committed value of ${v.text}">↺</button>`;
   const [range, number, back] = box.querySelectorAll("input, button");
   const show = (x) => { range.value = to(x), number.value = x; box.classList.toggle("changed", x !== committed); };
   const take = (x) => {
-    const fits = x >= v.low && x <= v.high;
-    if (!fits) return show(state.values[v.key] ?? committed), say(`${v.text}: a number from ${v.low} to ${v.high} is needed.`);
-    if (x === committed) delete state.values[v.key]; else state.values[v.key] = x;
-    return show(x), true;
+    const refused = put(v, x);
+    show(state.values[v.key] ?? committed), say(refused ?? "");
+    return !refused;
   };
   range.addEventListener("input", () => take(from(Number(range.value))));
-  range.addEventListener("change", run);
-  number.addEventListener("change", () => take(Number(number.value)) && run());
+  range.addEventListener("change", () => run());
+  number.addEventListener("change", () => take(number.valueAsNumber) && run());
   back.addEventListener("click", () => take(committed) && run());
   show(state.values[v.key] ?? committed);
   return box;
@@ -95,9 +117,10 @@ function worker(i) {
     let loaded, current = 0;
     onmessage = async ({ data }) => {
       if (data.content) return void (loaded = load(data.content));
-      const mine = current = data.number;
+      const mine = current = data.number; let law = null;
       try {
-        const rows = drive(await loaded, data.settings); let block = [], sent = performance.now();
+        if (data.settings.controller === "own") law = lawOf(data.settings.law);
+        const rows = drive(await loaded, { ...data.settings, law }); let block = [], sent = performance.now();
         for (;;) {
           const { done, value } = await rows.next();
           if (mine !== current) return;
@@ -108,26 +131,32 @@ function worker(i) {
           }
           if (done) return;
         }
-      } catch (fault) { postMessage({ number: mine, block: [], fault: fault.message }); }
+      } catch (fault) { postMessage({ number: mine, block: [], fault: fault.message.slice(0, 300) }); }
+      finally { law?.end(); }
     };`;
   const made = new Worker(URL.createObjectURL(new Blob([text], { type: "text/javascript" })));
   made.postMessage({ content });
   made.onmessage = ({ data }) => take(i, data);
+  made.onerror = (event) => { take(i, { number, block: [], fault: `The run failed: ${event.message}.` }), end(i); };
   return (workers[i] = made);
 }
+function end(i) { workers[i]?.terminate(), delete workers[i]; }
 
 let number = 0;
-function run() {
-  remember(), say("");
+function run(said = []) {
+  remember();
   number++;
-  runs = state.shown.map((controller) => ({ controller, rows: [], ended: null, fault: null, number, begun: performance.now() }));
-  runs.forEach((one, i) => worker(i).postMessage({ number, settings: asked(one.controller) }));
-  byId("stop").disabled = false;
+  runs.forEach((one, i) => { if (one.controller === "own" && !one.ended) end(i); });  // a law may never come back
+  const waits = (controller) => controller === "own" && state.law !== started;
+  runs = state.shown.map((controller) => ({ controller, rows: [], ended: waits(controller) ? "Waits for Run." : null, fault: null, number, begun: performance.now() }));
+  runs.forEach((one, i) => { if (!one.ended) worker(i).postMessage({ number, settings: asked(one.controller) }); });
+  say([...said, ...(state.shown.some(waits) ? ["The law is shown, not started: read it, then press Run."] : [])].join(" "));
+  byId("stop").disabled = runs.every((one) => one.ended);
   table([]), draw();
 }
 function stop() {
   number++;
-  workers.forEach((each) => each.terminate()), workers = [];
+  workers.forEach((_, i) => end(i));
   runs.forEach((one) => (one.ended ??= "Stopped."));
   byId("stop").disabled = true;
   table([]), draw();
@@ -208,13 +237,14 @@ function table(before) {
   const text = (x, digits) => (Number.isFinite(x) ? x.toFixed(digits) : "");
   byId("scores").tBodies[0].replaceChildren(...runs.map((one, i) => {
     const row = document.createElement("tr"), found = one.rows.length > MARGIN ? score(one.rows) : {};
-    let said = one.fault ? "The law failed." : one.ended ?? "driving …";
+    let said = one.fault ? (one.controller === "own" ? "The law failed." : "The run failed.") : one.ended ?? "driving …";
     if (one.ended && one.seconds && one.rows.length && !one.fault) {
       said += ` ${(one.rows.at(-1)[0] / one.seconds).toFixed(1)} times real time.`;
       if (isCommitted(one) && before[i]) said += before[i].y.every((y, k) => one.rows[k]?.[col.y] === y) ? " Equal to the committed run." : " Differs from the committed run.";
     }
-    row.innerHTML = `<td><span class="swatch" style="background:${COLORS[i]}"></span>${labels[one.controller]}</td><td>${text(found.rmse_mm, 3)}</td>
+    row.innerHTML = `<td><span class="swatch"></span>${labels[one.controller]}</td><td>${text(found.rmse_mm, 3)}</td>
       <td>${text(found.largest_mm, 2)}</td><td>${text(found.delay_m, 1)}</td><td>${text(found.du_rms_Nm, 0)}</td><td>${text(found.way_m, 1)}</td><td></td>`;
+    row.querySelector("span").style.background = COLORS[i];
     row.lastElementChild.textContent = said;
     return row;
   }));
@@ -245,7 +275,7 @@ function plan() {
   pen.fillStyle = ink, pen.font = "12px system-ui", pen.fillText(`p = ${row[col.p].toFixed(1)} m, y = ${(1e3 * row[col.y]).toFixed(2)} mm, v = ${(3.6 * row[col.v]).toFixed(0)} km/h, t = ${row[0].toFixed(2)} s`, 8, 16);
 }
 
-byId("settings").addEventListener("submit", (event) => { event.preventDefault(); state.law = byId("law").value; run(); });
+byId("settings").addEventListener("submit", (event) => { event.preventDefault(); state.law = started = byId("law").value; run(); });
 byId("stop").addEventListener("click", stop);
 byId("committed").addEventListener("click", () => { state.values = {}, build(), run(); });
 byId("figure").addEventListener("change", (event) => { state.figure = event.target.value, state.values = {}, build(), run(); });
@@ -258,5 +288,6 @@ byId("controllers").addEventListener("change", (event) => {
 });
 byId("sliders").open = innerWidth > 900;
 addEventListener("resize", draw);
-addEventListener("hashchange", () => { state = restored() ?? state, build(), run(); });
-build(), run();
+function open() { const said = restore(); build(), run(said); }
+addEventListener("hashchange", open);
+open();
