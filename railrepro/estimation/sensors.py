@@ -202,6 +202,7 @@ class Readings:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        data.require("Readings: loop", self.loop, Loop)
         data.require("Readings: seed", self.seed, data.between(0, math.inf), whole=True)
 
     def gains(self, gear: int) -> Any:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import base64
 import json
 import zlib
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from itertools import product
 from pathlib import Path
 
@@ -26,7 +26,7 @@ from railrepro.export.controller import Export
 from railrepro.export.fmu import Fmu
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import Scenario, load_scenario
-from railrepro.track.route import COLUMNS, Route
+from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 
 _HERE = Path(__file__).with_name("page")
 FIGURES = {
@@ -55,9 +55,12 @@ def _law(name: str, setting: str) -> Guidance:
 def _alike(scenarios: dict[str, Scenario]) -> dict[str, Route]:
     """Routes of scenarios with as many cells as the longest; those behind the end of a route repeat its last one."""
     routes = {name: scenario.route() for name, scenario in scenarios.items()}
-    most = max(len(route.cells) for route in routes.values())
-    tails = {name: route.cells[-1:].repeat(most - len(route.cells), axis=0) for name, route in routes.items()}
-    return {name: Route(np.concatenate([of.cells, tails[name]]), of.length) for name, of in routes.items()}
+    most = np.arange(max(len(route.cells) for route in routes.values()))
+    for name, route in routes.items():
+        cells = route.cells[most.clip(max=len(route.cells) - 1)]
+        cells[:, INDEX["p"]] = route.start + CELL * most
+        routes[name] = replace(route, cells=cells)
+    return routes
 
 
 def _packed(content: bytes | np.ndarray) -> str:

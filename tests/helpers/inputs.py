@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from railrepro import NDI, load_scenario, load_track, load_vehicle, paths, simulate
-from railrepro.contact.table import contact_table
+from railrepro import NDI, SteppedCar, lay, load_scenario, load_track, load_vehicle, paths, simulate
+from railrepro.contact.table import ContactTable, contact_table
 from railrepro.control.registry import guidance
 from railrepro.evidence.claims import statements
 from railrepro.evidence.report import figures, flips
@@ -14,6 +14,7 @@ from railrepro.evidence.runs import preview, pso, tuning
 from railrepro.track.alignment import alignments
 from railrepro.track.irregularity import irregularities
 from railrepro.track.rough import rough_track
+from railrepro.track.route import COLUMNS, Route
 from railrepro.track.table import build_table
 
 nan, inf = np.nan, np.inf
@@ -22,6 +23,9 @@ FAULT = {"kind": "alignment_fault", "start": 40.0, "length": 20.0, "amplitude": 
 SWITCH = {"kind": "lateral_offset", "start": 50.0, "length": 10.0, "offset": 5e-3, "transition": 8.0}
 CONES = load_vehicle(**{"contact.profile": "cone"})
 """A car whose contact table takes no time."""
+STRAIGHT = lay(load_track("T5"))
+CELLS, FORCE = STRAIGHT.cells, np.eye(len(COLUMNS))[COLUMNS.index("force")]
+TABLE = contact_table("cone", CONES).frame
 
 
 def scenario(**changes):
@@ -36,10 +40,39 @@ def rough(**channels):
     return irregularities(WAY).assign(**channels)
 
 
-def planning(torque, **attributes):
-    """A run whose slower controllers plan a torque."""
+def planner(torque, **attributes):
+    """A factory of slower controllers that plan a torque."""
     controller = type("Plan", (), {"period": 0.01, "plan": lambda self, x, u: torque} | attributes)
-    return drive(lambda *_: controller())
+    return lambda *_: controller()
+
+
+def planning(torque, **attributes):
+    return drive(planner(torque, **attributes))
+
+
+def once(factory):
+    """A factory that gives both gears one controller."""
+    made = {}
+    return lambda *of: made.setdefault("one", factory(*of))
+
+
+def of_gears(front, rear):
+    return lambda vehicle, route, gear: (front, rear)[gear](vehicle, route, gear)
+
+
+def law(result, **attributes):
+    return type("Law", (), {"torque": lambda self, q: result} | attributes)()
+
+
+def put(**values):
+    """Assign an array of a car."""
+    car = SteppedCar(STRAIGHT, 50.0, CONES)
+    for name, value in values.items():
+        setattr(car, name, value)
+
+
+def on(frame):
+    return SteppedCar(STRAIGHT, 50.0, CONES, table=ContactTable(frame))
 
 
 def file(text, read, name="mine.csv"):
