@@ -10,7 +10,7 @@ import warnings
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import casadi as ca
 import numpy as np
@@ -177,7 +177,7 @@ class SteppedCar:
     def __deepcopy__(self, _memo: dict) -> SteppedCar:
         return copy.copy(self)  # what both share does not change
 
-    def __reduce__(self):
+    def __reduce__(self) -> NoReturn:
         raise TypeError("a SteppedCar cannot be pickled: send its route, speed and vehicle, and make it there")
 
     def look_up(self) -> None:

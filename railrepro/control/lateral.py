@@ -82,6 +82,8 @@ class LateralLaw(Protocol):
 class SlowController(Protocol):
     """Lateral guidance of one running gear that is sampled at its own `period`, a multiple of 1 ms, by `plan`.
 
+    Each gear has an object of its own; the two may be of different classes with the same period.
+
     It may have two more methods:
 
     - `read(readings, delay)`, for a controller with a filter of its own. With sensors it is called before `plan`.

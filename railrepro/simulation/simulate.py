@@ -150,7 +150,7 @@ def _drive(loop: ClosedLoop, controllers: tuple, longest: int, sensors: Loop | N
 def _compiled(controller: Any, *arguments: Any) -> tuple[int, int] | None:
     """Addresses of the C of a slower controller, see `lateral.SlowController`; None if it is to be called by `plan`."""
     found = controller.compiled(*arguments) if hasattr(controller, "compiled") else None
-    pair = isinstance(found, tuple) and len(found) == 2 and all(isinstance(one, int) and one >= 0 for one in found)
+    pair = isinstance(found, tuple) and [type(one) for one in found] == [int, int] and found[0] > 0
     if not pair and not (found is None and hasattr(controller, "plan")):
         needed = "a pair of addresses is needed, or None and a method plan"
         raise InputError(f"lateral controller {type(controller).__name__}: compiled() gave {found!r}, {needed}")

@@ -71,8 +71,9 @@ class Route:
             shape, kind = getattr(cells, "shape", "none"), getattr(cells, "dtype", "none")
             found = f"cells is of the class {type(cells).__name__}, shape {shape}, dtype {kind}"
             raise InputError(f"route: {found}; an ndarray of shape (n, {len(COLUMNS)}), dtype float64 is needed")
-        p = cells[:, INDEX["p"]]
-        for row, column in np.argwhere(~np.isfinite(cells))[:1]:
+        p, finite = cells[:, INDEX["p"]], np.isfinite(cells)
+        if not finite.all():
+            row, column = np.argwhere(~finite)[0]
             found = f"{COLUMNS[column]} at p = {p[row]} m is {cells[row, column]}"
             raise InputError(f"route: {found}, a finite number is needed")
         for row in np.flatnonzero(np.abs(p - p[0] - CELL * np.arange(p.size)) > 1e-6)[:1]:
