@@ -25,7 +25,7 @@ VENV := .venv/ready-$(LOCK_HASH)
 READY = .venv/ready-$(1)-$(LOCK_HASH)
 GROUP = awk '/^\# group:/ {on = $$3 ~ "^($(1))$$"} on' environment.lock
 INSTALL = $(call GROUP,$(1)) | .venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r -
-.PHONY: help setup figures check test test-slow test-extras faults lab score leaderboard tune report verify bench study release html live lock strip clean distclean
+.PHONY: help setup figures check test test-slow test-extras faults sanitize lab score leaderboard tune report verify bench study release html live lock strip clean distclean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "%-12s%s\n", $$1, $$2}' Makefile | sort
@@ -53,6 +53,12 @@ test-slow: $(VENV)  ## run the tests that take minutes
 
 test-extras: $(call READY,bench) $(call READY,compiler)  ## install two groups and run their tests: Exudyn, live page
 	$(PY) -m pytest -m "not slow" $(PYTEST_JOBS) tests/validation tests/export/test_live.py
+
+# Without optimisation compilers are fast and leave no access out. PYTHONMALLOC: all memory is that of the sanitizer.
+SANITIZERS := -O0 -g -ffp-contract=off -fsanitize=address,undefined,bounds-strict,float-cast-overflow -fno-sanitize-recover=all
+sanitize: $(VENV)  ## public calls under the address and undefined-behaviour sanitizers of gcc
+	CC=gcc RAILREPRO_CFLAGS="$(SANITIZERS)" PYTHONMALLOC=malloc ASAN_OPTIONS=detect_leaks=0 \
+	  LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libstdc++.so)" $(PY) tests/sanitize.py
 
 faults: $(VENV)  ## fault injection in a chain of one notebook: kills and Ctrl-C
 	$(PY) -m pytest -m slow tests/evidence/test_faults.py

@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
+import copy
 import ctypes
 import math
-import reprlib
 import warnings
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import casadi as ca
 import numpy as np
@@ -22,7 +22,7 @@ from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import cache, codegen
 from railrepro.compile.lanes import lanes_header, pairs_text
 from railrepro.contact.table import CELL_COLUMNS, ContactTable, contact_table
-from railrepro.data import InputError, above, between, require
+from railrepro.data import above, between, require
 from railrepro.quantities import names
 from railrepro.track.route import CELL, COLUMNS, Route, lay
 from railrepro.track.table import load_track
@@ -100,17 +100,29 @@ class SteppedCar:
 
     Attributes:
         model (Car): The equations, with the names of states and outputs.
-        state (ndarray, shape (len(model.states),)): Present state (SI), writable.
-        torque (ndarray, shape (4,)): Torque commands of `equations.WHEELS` (N m), positive in traction, writable.
+        route, table (Route, ContactTable): Track and wheel-rail contact of the car; they cannot be exchanged.
+        state (ndarray, shape (len(model.states),)): Present state (SI), each up to 1e7 in magnitude; writable.
+        torque (ndarray, shape (4,)): Torque commands of `equations.WHEELS` (N m), positive in traction, each up to 1e5
+            in magnitude; writable.
         parameters (ndarray, shape (len(equations.PARAMETERS),)): See `equations.parameter_vector`; writable.
         measured (ndarray, shape (len(model.outputs),)): Values of `model.outputs` at the last call of `measure` (SI).
         c (ctypes.Structure): The struct `car_t` of car.c, which holds the arrays.
         time (float): Simulated time (s).
         left_rail (str): One sentence on the gear that derailed first, when and where; "" while none has derailed.
 
+    A writable array is memory of the compiled car: write to its entries, or assign all of them (`car.state = values`),
+    which copies them in. An assignment raises InputError for a wrong shape or a number out of range. `copy.copy(car)`
+    is a second car in the same state that moves independently. A car cannot be pickled.
+
     Raises:
-        InputError: Unknown track or adhesion set, speed out of range, or `route` or `vehicle` of another class.
+        InputError: Unknown track or adhesion set, speed out of range, or `route`, `vehicle`, `table` of another class.
     """
+
+    state = codegen.InC(LARGEST_STATE)
+    torque = codegen.InC(LARGEST_TORQUE)
+    parameters = codegen.InC()
+    route = property(lambda self: self._route)
+    table = property(lambda self: self._table)
 
     def __init__(
         self,
@@ -123,17 +135,18 @@ class SteppedCar:
         substeps: int = 1,
     ):
         vehicle = load_vehicle() if vehicle is None else vehicle
-        self.route = lay(load_track(route)) if isinstance(route, str) else route
+        self._route = lay(load_track(route)) if isinstance(route, str) else route
         require("route", self.route, Route)
         require("vehicle", vehicle, Vehicle)
+        self._table = contact_table(vehicle.contact.profile, vehicle) if table is None else table
+        require("table", self.table, ContactTable)
         require("speed", speed, above(0.0, LARGEST_SPEED, "m/s"))
         require("substeps", substeps, between(1, 10_000), whole=True)
-        self.table, self.time = table or contact_table(vehicle.contact.profile, vehicle), 0.0
         parameters = equations.parameter_vector(vehicle, good, poor)
-        self.model, self.left_rail, self._library = equations.car(), "", library()
-        track, profile = np.ascontiguousarray(self.route.cells), self.table.cells()
+        self.time, self.left_rail, self.model, self._library = 0.0, "", equations.car(), library()
+        track, profile = self.route.cells, self.table.cells()
         self._tables = track, profile  # C has their addresses
-        self.c = _Car(
+        of_car = _Car(
             period=CONTROL_PERIOD / substeps,
             substeps=substeps,
             track=track.ctypes.data,
@@ -145,12 +158,27 @@ class SteppedCar:
             profile_step=profile[0, CELL_COLUMNS.index("width")],
             profile_cells=len(profile),
         )
-        found, self._pointer = codegen.arrays(self.c), ctypes.byref(self.c)
-        self.state, self.torque, self.measured = found["state"], found["torque"], found["measured"]
-        self.parameters, self._arrays = found["parameters"], found
-        self.parameters[:] = parameters
-        self.state[:] = equations.rest(self.table)(parameters, speed).nonzeros()
+        self._hold(of_car)
+        self.parameters = parameters
+        self.state = equations.rest(self.table)(parameters, speed).nonzeros()
         self.look_up()
+
+    def _hold(self, of_car: ctypes.Structure) -> None:
+        """Take a struct `car_t` as the memory of this car."""
+        self.c, self._pointer, self._arrays = of_car, ctypes.byref(of_car), codegen.arrays(of_car)
+        self.measured = self._arrays["measured"]
+
+    def __copy__(self) -> SteppedCar:
+        other = object.__new__(type(self))
+        vars(other).update(vars(self))
+        other._hold(_Car.from_buffer_copy(self.c))
+        return other
+
+    def __deepcopy__(self, _memo: dict) -> SteppedCar:
+        return copy.copy(self)  # what both share does not change
+
+    def __reduce__(self) -> NoReturn:
+        raise TypeError("a SteppedCar cannot be pickled: send its route, speed and vehicle, and make it there")
 
     def look_up(self) -> None:
         """Renew the rows of the route and of the contact table that the car uses. Call it after setting `state`."""
@@ -180,14 +208,7 @@ class SteppedCar:
         require("steps", steps, between(0, math.inf), whole=True)
         require("period", period, above(0.0, 10 * CONTROL_PERIOD, "s"))
         if torque is not None:
-            try:
-                asked = np.array(torque, dtype=float)
-            except (TypeError, ValueError):
-                asked = np.empty(0)
-            if asked.shape != self.torque.shape or not (np.abs(asked) <= LARGEST_TORQUE).all():
-                needed = f"{len(self.torque)} numbers of at most {LARGEST_TORQUE:g} N m are needed"
-                raise InputError(f"torque is {reprlib.repr(torque)}, {needed}")
-            self.torque[:] = asked
+            self.torque = torque
         self.c.period = period
         start = self.time
         for done in range(steps):

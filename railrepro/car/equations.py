@@ -80,7 +80,7 @@ def parameter_vector(vehicle: Vehicle, good: str = "dry", poor: str = "poor") ->
     """Run-time parameters of the car as a vector in the order of `PARAMETERS` (SI). `good` and `poor` are keys of
     `vehicle.adhesion`, for the rail and for its slippery stretches. Another name raises InputError."""
     for name in (good, poor):
-        if name not in tuple(vehicle.adhesion):
+        if not isinstance(name, str) or name not in vehicle.adhesion:
             raise InputError(f"adhesion set {name!r} is not known; there are {list(vehicle.adhesion)}")
     sets = vehicle.adhesion[good], vehicle.adhesion[poor]
     groups = vehicle.body, vehicle.gear, vehicle.wheel, vehicle.suspension, vehicle.drive, vehicle.contact, *sets

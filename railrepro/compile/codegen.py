@@ -10,6 +10,7 @@ import json
 import math
 import os
 import re
+import reprlib
 import sys
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -93,6 +94,38 @@ def arrays(of: ctypes.Structure) -> dict[str, np.ndarray]:
     kinds = {name: getattr(kind, "_type_", None) for name, kind, *_ in of._fields_}
     listed = [name for name, kind in kinds.items() if kind is ctypes.c_double or hasattr(kind, "_length_")]
     return {name: np.ctypeslib.as_array(getattr(of, name)) for name in listed}
+
+
+def for_c(what: str, value: Any, shape: tuple[int, ...], largest: float = sys.float_info.max) -> np.ndarray:
+    """Copy of an argument as an array of float64. InputError, with its name `what`, unless it has this shape and
+    consists of numbers of at most `largest` in magnitude."""
+    try:
+        given = np.asarray(value)
+    except (TypeError, ValueError):  # a list of lists of different lengths
+        given = np.empty(0, dtype=object)
+    numbers = given.dtype.kind in "iuf" and given.shape == shape
+    if not numbers or not (np.abs(given.astype(float)) <= largest).all():
+        size, of = " x ".join(map(str, shape)), "" if largest == sys.float_info.max else f" of at most {largest:g}"
+        raise InputError(f"{what} is {reprlib.repr(value)}, {size} finite numbers{of} (SI) are needed")
+    return given.astype(float)
+
+
+class InC:
+    """Attribute of a class whose `_arrays` are those of `arrays`: reading it gives the view, setting it copies numbers
+    of at most `largest` in magnitude into it."""
+
+    def __init__(self, largest: float = sys.float_info.max):
+        self._largest = largest
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, instance: Any, owner: type | None = None) -> Any:
+        return self if instance is None else instance._arrays[self._name]
+
+    def __set__(self, instance: Any, value: Any) -> None:
+        array = instance._arrays[self._name]
+        array[:] = for_c(f"{type(instance).__name__}: {self._name}", value, array.shape, self._largest)
 
 
 class CompiledFunction:

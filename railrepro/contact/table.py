@@ -19,10 +19,10 @@ import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
-from railrepro.compile.codegen import stored
+from railrepro.compile.codegen import for_c, stored
 from railrepro.contact import normal, profiles
 from railrepro.contact.creep import elementary, kalker_coefficients, strip_coefficients
-from railrepro.data import InputError
+from railrepro.data import InputError, require
 from railrepro.vehicle.parameters import Vehicle
 
 _LINEAR = (
@@ -59,10 +59,19 @@ class ContactTable:
 
         Shape (n - 1, columns): row i covers the shifts from row i to row i + 1 of `frame`. The effective radius is a
         cubic with continuous slope, all else is linear. Source: de Boor, A Practical Guide to Splines, ch. IV.
+
+        Raises:
+            InputError: `frame` lacks a column or has a value that is no finite number, or its shifts are not uniformly
+                spaced from below to above 0.
         """
-        quantities = {name.removesuffix("_m"): self.frame[name].to_numpy() for name in self.frame}
+        require("contact table: frame", self.frame, pd.DataFrame)
+        given, quantities = {name.removesuffix("_m"): column for name, column in self.frame.items()}, {}
+        for name in ("shift", "effective_radius", "angle_rad", *_LINEAR):
+            quantities[name] = for_c(f"contact table: {name}", given.get(name), (len(self.frame),))
         shift, radius = quantities["shift"], quantities["effective_radius"]
         slope, h = np.tan(quantities["angle_rad"]), np.diff(shift)
+        if not (shift.size > 2 and shift[0] < 0 < shift[-1] and h[0] > 0 and np.ptp(h) <= 1e-6 * h[0]):
+            raise InputError("contact table: shift_m has to increase in equal steps from below to above 0")
         secant = np.diff(radius) / h
         columns = {
             "shift": shift[:-1],

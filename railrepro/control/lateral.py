@@ -15,7 +15,9 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 
-from railrepro.data import InputError, is_number
+from railrepro.clock import CONTROL_PERIOD
+from railrepro.data import InputError, above, between, is_number, require
+from railrepro.quantities import GEARS
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle
 
@@ -80,6 +82,8 @@ class LateralLaw(Protocol):
 class SlowController(Protocol):
     """Lateral guidance of one running gear that is sampled at its own `period`, a multiple of 1 ms, by `plan`.
 
+    Each gear has an object of its own; the two may be of different classes with the same period.
+
     It may have two more methods:
 
     - `read(readings, delay)`, for a controller with a filter of its own. With sensors it is called before `plan`.
@@ -138,6 +142,30 @@ def split(guidance) -> tuple[LateralLaw, Factory | None]:
     return ZeroOrderHold(), factory
 
 
+def controllers(factory: Factory, vehicle: Vehicle, route: Route) -> tuple:
+    """Make the slower controllers of the front and the rear gear. InputError unless each is an object of its own with
+    `plan` or `compiled`, and both have one period, a whole number of ms."""
+    made = tuple(factory(vehicle, route, gear) for gear in range(len(GEARS)))
+    for controller in made:
+        owner = f"lateral controller {type(controller).__name__}"
+        if not (hasattr(controller, "plan") or hasattr(controller, "compiled")):
+            raise InputError(f"{owner}: has no plan(x_hat, u_d)")
+        require(f"{owner}: period", getattr(controller, "period", None), above(0.0, 1.0, "s"))
+    if made[0] is made[1]:
+        raise InputError(f"{owner}: is one object for both gears, a factory that makes one for each is needed")
+    periods = {round(controller.period / CONTROL_PERIOD, 6) for controller in made}
+    if len(periods) != 1 or not float(min(periods)).is_integer() or min(periods) < 1:
+        raise InputError(f"lateral controllers need one period, a whole number of ms; found {sorted(periods)} ms")
+    return made
+
+
+def check_arguments(controller: str, vehicle: Vehicle, route: Route, gear: int) -> None:
+    """Raise InputError, with the name of a controller, if an argument of its factory is invalid."""
+    require(f"{controller}: vehicle", vehicle, Vehicle)
+    require(f"{controller}: route", route, Route)
+    require(f"{controller}: gear", gear, between(0, len(GEARS) - 1), whole=True)
+
+
 @dataclass(frozen=True)
 class Signature:
     """Equations of a 1 kHz law with the names, not the values, of its gains. Equal signatures share compiled code."""
@@ -152,9 +180,10 @@ class Signature:
 
 
 def gains_of(law: LateralLaw) -> dict[str, float]:
-    """Gains of a law as a dict from name to value, empty without gains. InputError when one is not a finite number."""
+    """Gains of a law as a dict from name to value, empty without gains. InputError if not a dict of finite numbers."""
     gains = getattr(law, "gains", dict)
     gains = gains() if callable(gains) else gains
+    require(f"{_owner(law)}: gains", gains, dict)
     for name, value in gains.items():
         if not is_number(value):
             raise InputError(f"{_owner(law)}: gain {name!r} is {value!r}, a finite number is needed")
@@ -194,7 +223,8 @@ def _owner(law: LateralLaw) -> str:
 
 def answer(law: LateralLaw, q: SimpleNamespace) -> tuple[ca.SX, dict[str, ca.SX]]:
     """Call `law.torque(q)`; returns a pair: differential torque (N m), dict from state to next value (empty without
-    memory). InputError if the law asks for an attribute that `q` lacks, or uses `if`, `min` or `max` on expressions."""
+    memory). InputError if the law asks for an attribute that `q` lacks, uses `if`, `min` or `max` on expressions, or
+    returns something else."""
     try:
         result = law.torque(q)
     except AttributeError as error:
@@ -209,7 +239,10 @@ def answer(law: LateralLaw, q: SimpleNamespace) -> tuple[ca.SX, dict[str, ca.SX]
             f"{_owner(law)}: torque() compares expressions; casadi.if_else takes the place of if, casadi.fmin and "
             "casadi.fmax that of min and max"
         ) from None
-    return result if isinstance(result, tuple) else (result, {})
+    pair = result if isinstance(result, tuple) else (result, {})
+    if len(pair) != 2 or not isinstance(pair[1], dict):
+        raise InputError(f"{_owner(law)}: torque() gave {pair!r}, a torque or a pair (torque, dict) is needed")
+    return pair
 
 
 def _scalar(value, what: str, owner: str) -> ca.SX:

@@ -14,10 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from railrepro.compile import codegen
+from railrepro.control import lateral
 from railrepro.control.problem import MPCSettings, Problem
 from railrepro.control.solvers import ipopt
 from railrepro.control.solvers.riccati import Horizon
-from railrepro.data import InputError, require
+from railrepro.data import InputError, between, require
 from railrepro.estimation.sensors import Loop
 from railrepro.model.control_model import XDOT, kept_as_printed, parameter_vector
 from railrepro.model.forecast import nominal_values
@@ -62,6 +64,7 @@ class PredictiveController:
 
     def __post_init__(self) -> None:
         require("MPC: settings", self.settings, MPCSettings)
+        lateral.check_arguments(type(self).__name__, self.vehicle, self.route, self.gear)
         self.stats: list[Solve] = []
         s = self.settings
         self.parameters = parameter_vector(self.vehicle)
@@ -85,15 +88,15 @@ class PredictiveController:
     def problem(self, x_hat: np.ndarray, u_d: float) -> Problem:
         """The `Problem` that a sample solves, at a measured state (6,) (SI) and a base torque (N m). The offset
         observer is left out."""
-        u_d = u_d if self.settings.informed else 0.0
+        x_hat, u_d = self._checked(x_hat, u_d if self.settings.informed else 0.0)
         limit = self.vehicle.drive.limit(x_hat[XDOT] / self.vehicle.wheel.radius)
-        return Problem(self.settings, x_hat.copy(), u_d, self.horizon.forecast(x_hat, u_d), self.parameters, limit)
+        return Problem(self.settings, x_hat, u_d, self.horizon.forecast(x_hat, u_d), self.parameters, limit)
 
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
         """Solve one sample and return the differential torque (N m). `x_hat` is the measured state, shape (6,) (SI);
-        `u_d` is the base torque per wheel (N m)."""
+        `u_d` is the base torque per wheel (N m). InputError unless both are finite numbers."""
         begin = time.thread_time()
-        self._measured[:] = x_hat
+        self._measured[:], u_d = self._checked(x_hat, u_d)
         torque = self._torque(ctypes.c_void_p(self._measured.ctypes.data), ctypes.c_double(u_d))
         self.stats.append(Solve(time.thread_time() - begin, self.c.iterations))
         return torque
@@ -105,6 +108,11 @@ class PredictiveController:
         if type(self) not in (NMPC, LTVMPC) or (isinstance(self, NMPC) and self.solver == "ipopt"):
             return None
         return ctypes.cast(self._library.planner_sample, ctypes.c_void_p).value or 0, ctypes.addressof(self.c)
+
+    def _checked(self, x_hat: np.ndarray, u_d: float) -> tuple[np.ndarray, float]:
+        owner = type(self).__name__
+        require(f"{owner}: u_d", u_d, between(-1e9, 1e9, "N m"))
+        return codegen.for_c(f"{owner}: x_hat", x_hat, self._measured.shape), u_d
 
     def _torque(self, measured: ctypes.c_void_p, u_d: ctypes.c_double) -> float:
         return self._library.planner_sample(self._pointer, measured, None, u_d)
@@ -121,7 +129,7 @@ class NMPC(PredictiveController):
     solver: str = "gauss_newton"
 
     def __post_init__(self) -> None:
-        if self.solver not in tuple(SOLVERS):
+        if not isinstance(self.solver, str) or self.solver not in SOLVERS:
             raise InputError(f"NMPC solver {self.solver!r} is not known; there are {tuple(SOLVERS)}")
         self.mode = SOLVERS[self.solver]
         super().__post_init__()

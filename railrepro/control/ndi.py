@@ -86,8 +86,8 @@ def inverse(jerk: ca.SX, q: SimpleNamespace) -> ca.SX:
     """Differential torque (N m) at which y has the third time derivative `jerk` (m/s^3).
 
     `q` is as in `lateral.LateralLaw.torque`. Two moments are left out: the yaw stiffness by gravity, 1 % of the yaw
-    stiffness of the springs, and the yaw moment of a base torque on unequal rolling radii. Source: corrected yaw
-    equation to first order (`railrepro.model.derivation.equations`).
+    stiffness of the springs, and the yaw moment of a base torque on unequal rolling radii or a rolled axle. Source:
+    corrected yaw equation to first order (`railrepro.model.derivation.equations`).
     """
     ydot, psidot_r = q.v * q.psi, q.yaw_rate - q.v * q.dpsi_dp
     psiddot_r = (jerk - 2 * q.xddot * psidot_r) / ca.fmax(q.v, 1.0)

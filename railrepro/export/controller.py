@@ -81,20 +81,24 @@ class Export:
         lateral_law, factory = lateral.split(self.guidance)
         ends: dict[str, Any] = {"lateral_limit": DERAILED, "track_end": self.route.length, "stop_speed": -1.0}
         control = law.control_law(self.vehicle, lateral_law, sensors=self.sensors, **ends)
-        planners: list = [factory(self.vehicle, self.route, gear) for gear in range(len(GEARS))] if factory else []
+        planners = lateral.controllers(factory, self.vehicle, self.route) if factory else ()
         found, functions = parameters(control.signature.Gains, control.gains), [law.function(control.signature)]
-        slower, first = cycle.SLOTS, planners[0] if planners else None
-        if isinstance(first, PredictiveController) and getattr(first, "solver", None) != "ipopt":
-            functions += riccati.functions(first.settings.variant, first.settings.discretisation)
-            found += _parameters(planners)
-            slower = _solver(planners, control.signature)
-        elif first and hasattr(first, "exported"):
-            slower = first.exported(planners, self.sensors.loop if self.sensors else None)
-        elif planners:
+        slower = cycle.SLOTS
+        first: Any = next(iter(planners), None)
+        predictive = isinstance(first, PredictiveController) and first.compiled(None) is not None
+        if first and not (predictive or hasattr(first, "exported")):
             raise InputError(
                 f"export: {type(first).__name__} is no 1 kHz law, LTV-MPC, NMPC by another solver than Ipopt or "
                 "LqgPreview, which alone have C of their own"
             )
+        if any(type(one) is not type(first) or one.settings != first.settings for one in planners):
+            raise InputError("export: both gears need controllers of one class with the same settings")
+        if predictive:
+            functions += riccati.functions(first.settings.variant, first.settings.discretisation)
+            found += _parameters(planners)
+            slower = _solver(planners, control.signature)
+        elif first:
+            slower = first.exported(planners, self.sensors.loop if self.sensors else None)
         numbers = {"N_CELLS": len(self.route.cells), "CELL_START": self.route.start, "CELL_STEP": CELL}
         numbers["PLAN_STEPS"] = round(first.period / CONTROL_PERIOD) if first else 0
         text = codegen.source_text(functions) + codegen.PREAMBLE + codegen.defines(numbers)
@@ -106,7 +110,7 @@ class Export:
         return Fmu("controller", description, TORQUES, interface.MEASURED, _LARGEST, found, text)
 
 
-def _parameters(planners: list[PredictiveController]) -> list[Parameter]:
+def _parameters(planners: tuple[PredictiveController, ...]) -> list[Parameter]:
     """Numbers of the predictive controllers of both gears; what fixes a size keeps its value."""
     first, large = planners[0], 1e15
     tables = {"cost": (TUNING, first.settings.tuning()), "belief": (PARAMETERS, first.parameters)}
@@ -121,7 +125,7 @@ def _parameters(planners: list[PredictiveController]) -> list[Parameter]:
     return [replace(one, low=one.value, high=one.value) if one.name == "cost.period" else one for one in found]
 
 
-def _solver(planners: list[PredictiveController], signature: law.LawSignature) -> str:
+def _solver(planners: tuple[PredictiveController, ...], signature: law.LawSignature) -> str:
     """The predictive controllers of both gears: solver, numbers and memory."""
     settings, drive = planners[0].settings, indices(signature.Gains).drive
     text = codegen.defines({"STEPS": settings.steps, "N_NOMINAL": len(NOMINAL), "DRIVE": drive.torque_limit})

@@ -29,7 +29,7 @@ from railrepro.export.fmu import Fmu
 from railrepro.quantities import notes
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import Scenario, Sine, load_scenario
-from railrepro.track.route import COLUMNS, Route
+from railrepro.track.route import COLUMNS
 
 _HERE = Path(__file__).with_name("page")
 FIGURES = {
@@ -57,14 +57,6 @@ def _law(name: str, setting: str) -> Guidance:
     return ZeroOrderHold() if name == OWN else guidance(name, parameters(name, setting), CONTROLLERS[name].quick)
 
 
-def _alike(scenarios: dict[str, Scenario]) -> dict[str, Route]:
-    """Routes of scenarios with as many cells as the longest; those behind the end of a route repeat its last one."""
-    routes = {name: scenario.route() for name, scenario in scenarios.items()}
-    most = max(len(route.cells) for route in routes.values())
-    tails = {name: route.cells[-1:].repeat(most - len(route.cells), axis=0) for name, route in routes.items()}
-    return {name: Route(np.concatenate([of.cells, tails[name]]), of.length) for name, of in routes.items()}
-
-
 def _packed(content: bytes | np.ndarray) -> str:
     data = content if isinstance(content, bytes) else np.ascontiguousarray(content, dtype="<f8").tobytes()
     return base64.b64encode(zlib.compress(data, 9)).decode()
@@ -90,18 +82,20 @@ def content() -> dict:
       rows of a curve), "force" (kN, largest demand), "committed" (by setting, then controller: curves "y", "p" in m).
     """
     scenarios = {name: load_scenario(name) for name in FIGURES.values()}
-    routes = _alike(scenarios)
-    any_route = next(iter(routes.values()))
-    car = _module(car_fmu(SteppedCar(any_route, 50.0), 50.0, _writable))
+    routes = {name: scenario.route() for name, scenario in scenarios.items()}
+    longest = max(routes.values(), key=lambda route: len(route.cells))
+    car = _module(car_fmu(SteppedCar(longest, 50.0), 50.0, _writable))
     car |= {"outputs": list(equations.car().outputs), "measured": list(interface.MEASURED)}
     controllers: dict[str, dict] = {setting: {} for setting in SETTINGS}
     for setting, name in product(SETTINGS, (*SHOWN, OWN)):
         print(f"compiling {name} of {setting}", flush=True)
-        module = _module(Export(_law(name, setting), any_route).fmu(_writable))
+        module = _module(Export(_law(name, setting), longest).fmu(_writable))
         controllers[setting][name] = {"label": SHOWN.get(name, "Law of your own")} | module
     figures = {}
     for title, name in FIGURES.items():
-        figures[name] = {"title": title, "cells": _packed(routes[name].cells)} | _experiment(scenarios[name])
+        more = len(longest.cells) - len(routes[name].cells)  # the modules have as many cells as the longest route
+        cells = np.pad(routes[name].cells, ((0, more), (0, 0)), "edge")
+        figures[name] = {"title": title, "cells": _packed(cells)} | _experiment(scenarios[name])
     shown = {"car": car, "settings": SETTINGS, "controllers": controllers, "figures": figures}
     return {"columns": list(COLUMNS), "ranges": _ranges()} | shown
 

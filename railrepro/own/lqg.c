@@ -71,22 +71,25 @@ static double lqg_steered(const lqg_t *g, const lqg_design_t *d, const double *x
     change += gain[KNOWN] * lqg_known_at(g, place + (v + a / 2 * driven) * driven, v + a * driven, known, &curvature);
     for (int i = 0; i < KNOWN; ++i) change += gain[i] * known[i];
   }
-  return fmin(fmax(g->torques[0] + change, -g->torque_limit), g->torque_limit);
+  const double torque = g->torques[0] + change, limit = g->torque_limit;
+  return torque > limit ? limit : torque < -limit ? -limit : torque;  /* fmin would make a limit of what is no number */
 }
 
-/* To the gear behind: the estimate of the rails here, and what the reading says of places that were passed. */
+/* To the gear behind: the estimate of the rails here, and what the reading says of places that were passed. Nothing from
+   before its route, or from a place that is no number. */
 static void lqg_pass_on(const lqg_t *g, const lqg_design_t *d, double place, double v) {
   lqg_t *to = g->follower;
+  if (!(place >= to->start)) return;
   const double *x = g->state[FILTERS - 1], share = g->share[FILTERS - 1];
   const casadi_int cell = (casadi_int)fmin(fmax((place - to->start) / PITCH, 0), (double)to->rows - 2);
   double *row = to->rails + 2 * cell;
-  const int fresh = cell > (casadi_int)fmax((to->known_until - to->start) / PITCH, 0);
+  const int fresh = (double)cell > floor((to->known_until - to->start) / PITCH);
   for (int i = !fresh; i < 2; ++i) row[2 * i] = share * x[RAIL], row[2 * i + 1] = share * x[RAIL + 1] / v;
   for (casadi_int i = fresh; i <= cell; ++i) {
-    const casadi_int lag = (casadi_int)((place - to->start - (double)(cell - i) * PITCH) / (v * LAG) + 0.5);
-    if (lag >= LAGS) break;
+    const double lag = floor((place - to->start - (double)(cell - i) * PITCH) / (v * LAG) + 0.5);
+    if (!(lag < LAGS)) break;
     for (int j = 0; j < 2; ++j)
-      for (int k = 0; k < SIGNALS; ++k) row[j - 2 * i] += share * d->smooth[lag][j][k] * g->surprise[k];
+      for (int k = 0; k < SIGNALS; ++k) row[j - 2 * i] += share * d->smooth[(int)lag][j][k] * g->surprise[k];
   }
   to->known_until = place;
 }
@@ -97,7 +100,7 @@ double lqg_sample(void *gear, const double *state, const double *readings, doubl
   const double v = state[2], a = base_torque * g->acceleration, place = state[0] - g->behind * v;
   if (!(v >= LEAST_SPEED)) {  /* wheels that hardly turn cannot steer */
     g->started = 0;
-    return g->torques[0];
+    return v < LEAST_SPEED ? g->torques[0] : v;  /* no number for a speed that is none */
   }
   double known[KNOWN], x[FREE] = {0}, curvature;
   lqg_known_at(g, place, v, known, &curvature);

@@ -19,6 +19,7 @@ Anderson and Moore 1979, Optimal Filtering, ch. 7 (smoothing) and 10 (several mo
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -30,6 +31,7 @@ from scipy.signal import cont2discrete
 
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
+from railrepro.control import lateral
 from railrepro.data import between, check_fields
 from railrepro.estimation.sensors import Loop
 from railrepro.model.forecast import nominal_values
@@ -230,17 +232,19 @@ class LqgGear:
     period = CONTROL_PERIOD
 
     def __init__(self, vehicle: Vehicle, route: Route, gear: int, settings: LqgPreview):
+        lateral.check_arguments("LqgPreview", vehicle, route, gear)
         self.vehicle, self.route, self.gear, self.settings = vehicle, route, gear, settings
 
-    def compiled(self, loop: Loop | None, leader: LqgGear | None = None) -> tuple[int, int]:
+    def compiled(self, loop: Loop | None, leader: object = None) -> tuple[int, int]:
         """Addresses (C function of a sample, its memory), see `lateral.SlowController`. `loop` are the sensors, None
-        without. `leader` is given for the rear gear: the front controller, which passes on the rails that it finds."""
+        without. `leader` is given for the rear gear: the front controller. An `LqgGear` passes on the rails that it
+        finds."""
         (late, table), vehicle, cells = designs(self.vehicle, self.settings, loop), self.vehicle, self.route.cells
         acceleration, partner, _ = nominal_values(vehicle, self.gear)
         self.sizes = late, round(self.settings.preview / TAP) + 1
         self.library, of_gear = library(*self.sizes)
         rows = round(len(cells) * CELL / PITCH)
-        self.tables = {"designs": table, "route": np.ascontiguousarray(cells), "rails": np.zeros((rows, 2))}
+        self.tables = {"designs": table, "route": cells, "rails": np.zeros((rows, 2))}
         self.memory = of_gear(
             speeds=len(table),
             cells=len(cells),
@@ -256,11 +260,11 @@ class LqgGear:
             known_until=self.route.start,
             **{name: values.ctypes.data for name, values in self.tables.items()},
         )
-        if leader is not None:
+        if isinstance(leader, LqgGear):
             leader.memory.follower = ctypes.addressof(self.memory)
         return ctypes.cast(self.library.lqg_sample, ctypes.c_void_p).value or 0, ctypes.addressof(self.memory)
 
-    def exported(self, gears: list[LqgGear], loop: Loop | None) -> str:
+    def exported(self, gears: Sequence[LqgGear], loop: Loop | None) -> str:
         """C text of `gears`, the controllers [front, rear], and of the tables of their designs, for an export. It does
         not matter which instance is asked. `loop`: the sensors, or None for a control without."""
         for gear in gears:

@@ -4,6 +4,7 @@ car and the control cycle of `railrepro.control.cycle`."""
 from __future__ import annotations
 
 import ctypes
+import math
 import time
 from collections.abc import Sequence
 from functools import lru_cache
@@ -15,8 +16,10 @@ import numpy as np
 from railrepro.car import component
 from railrepro.car.component import SteppedCar
 from railrepro.car.outputs import Outputs
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
 from railrepro.control import cycle, interface, law
+from railrepro.data import between, require
 from railrepro.quantities import names
 
 _BLOCK = 10_000
@@ -47,17 +50,22 @@ class ClosedLoop:
         car (SteppedCar): The simulated car on its route.
         control (ControlLaw): The 1 kHz law of both gears, from `railrepro.control.law.control_law`.
         ended (bool): Whether the last `run` reached a limit.
-        state (ndarray, shape (len(car.model.states),)): State of the car (SI), the array `car.state`; writable.
+        state (ndarray, shape (len(car.model.states),)): State of the car (SI), the array `car.state`.
         held (ndarray, shape (2,)): Last differential torques of slower controllers, front and rear gear (N m);
-            writable.
+            writable as the arrays of a `SteppedCar`.
         memory (ndarray): States of the law (SI), in the order of the names `control.signature.memory`; writable.
         columns (tuple of str): Columns that `run` returns: outputs of the car, then what the law logs.
     """
 
+    held = codegen.InC()
+    memory = codegen.InC()
+    state = property(lambda self: self.car.state)
+
     def __init__(self, car: SteppedCar, control: law.ControlLaw):
-        self.car, self.control, self.ended = car, control, False
+        require("car", car, SteppedCar)
+        require("control", control, law.ControlLaw)
+        self.car, self.control, self.ended, signature = car, control, False, control.signature
         car.look_up()
-        signature, self.state = control.signature, car.state
         self.columns = (*car.model.outputs, *signature.record)
         self._library, of_loop = library(signature)
         of_car = component.library()
@@ -67,9 +75,9 @@ class ClosedLoop:
         self._c = self._loop.control
         self._c.cells, self._c.n_cells = car.c.track, car.c.track_cells
         self._c.cell_start, self._c.cell_step = car.c.track_start, car.c.track_step
-        found = codegen.arrays(self._c)
-        found["parameters"][:] = control.gains
-        self.held, self.memory, self._margins = found["held"], found["memory"], found["margins"]
+        self._arrays = codegen.arrays(self._c)
+        parameters = self._arrays["parameters"]
+        parameters[:] = codegen.for_c("control: gains", control.gains, parameters.shape)
 
     def run(self, n: int) -> np.ndarray:
         """Advance by n control cycles of 1 ms, or fewer when a limit is reached (see `margins`).
@@ -77,6 +85,8 @@ class ClosedLoop:
         Returns an array with one row per cycle and the columns `columns` (SI), taken before the car advances. When a
         limit is reached, `ended` is True, and the last row and `state` are at the limit.
         """
+        require("n", n, between(0, math.inf), whole=True)
+        self.car.c.period = CONTROL_PERIOD / self.car.c.substeps  # `SteppedCar.step` may have had another one
         blocks, block = [np.empty((0, len(self.columns)))], 1
         while n > 0:
             rows = np.empty((min(block, n), len(self.columns)))
@@ -107,4 +117,4 @@ class ClosedLoop:
     def margins(self) -> dict[str, float]:
         """Distances to the limits of a run as a dict, keys as in `interface.Margins`. The run ends when one is not
         positive."""
-        return dict(zip(interface.MARGINS, self._margins.tolist(), strict=True))
+        return dict(zip(interface.MARGINS, self._arrays["margins"].tolist(), strict=True))

@@ -20,7 +20,7 @@ from railrepro.clock import CONTROL_PERIOD
 from railrepro.control import cycle, interface, lateral, law
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.law import GEARS
-from railrepro.data import InputError, above, is_number, require
+from railrepro.data import InputError, is_number, require
 from railrepro.estimation.sensors import Loop, Readings
 from railrepro.model.control_model import STATES, X
 from railrepro.quantities import names
@@ -116,7 +116,7 @@ def run(
     require("plant_vehicle", body, Vehicle)
     route = scenario.route(irregularities, line)
     lateral_law, factory = lateral.split(guidance)
-    controllers = _controllers(factory, vehicle, route) if factory else ()  # refused before the car is compiled
+    controllers = lateral.controllers(factory, vehicle, route) if factory else ()  # refused before the car is compiled
     loop = start(
         scenario, lateral_law, route, vehicle, body, substeps,
         adhesion=adhesion, fixed_share=fixed_share, sensors=sensors,
@@ -133,20 +133,6 @@ def run(
         series = series[:-1]
     memory = dict(zip(loop.control.signature.memory, loop.memory.tolist(), strict=True))
     return Run(series, ended, failed, _warnings(series, body), controllers, memory)
-
-
-def _controllers(factory: lateral.Factory, vehicle: Vehicle, route: Route) -> tuple:
-    """Slower controllers of both gears, of one period that the control cycle divides; InputError otherwise."""
-    controllers = tuple(factory(vehicle, route, gear) for gear in range(len(GEARS)))
-    for controller in controllers:
-        owner = f"lateral controller {type(controller).__name__}"
-        if not (hasattr(controller, "plan") or hasattr(controller, "compiled")):
-            raise InputError(f"{owner}: has no plan(x_hat, u_d)")
-        require(f"{owner}: period", getattr(controller, "period", None), above(0.0, 1.0, "s"))
-    periods = {round(controller.period / CONTROL_PERIOD, 6) for controller in controllers}
-    if len(periods) != 1 or not float(min(periods)).is_integer() or min(periods) < 1:
-        raise InputError(f"lateral controllers need one period, a whole number of ms; found {sorted(periods)} ms")
-    return controllers
 
 
 def start(
@@ -175,15 +161,25 @@ def _drive(loop: ClosedLoop, controllers: tuple, longest: int, sensors: Loop | N
         return loop.run(longest)
     front, rear = controllers
     faults: list[BaseException] = []
-    compiled = [front.compiled(sensors), rear.compiled(sensors, front)] if hasattr(front, "compiled") else []
+    compiled = [_compiled(front, sensors), _compiled(rear, sensors, front)]
     samples = [cycle.SAMPLE(_sample(*of_gear, sensors, faults)) for of_gear in zip(controllers, GEARS, strict=True)]
     python = [(ctypes.cast(sample, ctypes.c_void_p).value or 0, 0) for sample in samples]
     every = round(front.period / CONTROL_PERIOD)
-    loop.connect([fast or slow for fast, slow in zip(compiled or python, python, strict=True)], every)
+    loop.connect([fast or slow for fast, slow in zip(compiled, python, strict=True)], every)
     log = loop.run(longest + -longest % every)  # whole samples
     if faults:
         raise faults[0]
     return log
+
+
+def _compiled(controller: Any, *arguments: Any) -> tuple[int, int] | None:
+    """Addresses of the C of a slower controller, see `lateral.SlowController`; None if it is to be called by `plan`."""
+    found = controller.compiled(*arguments) if hasattr(controller, "compiled") else None
+    pair = isinstance(found, tuple) and [type(one) for one in found] == [int, int] and found[0] > 0
+    if not pair and not (found is None and hasattr(controller, "plan")):
+        needed = "a pair of addresses is needed, or None and a method plan"
+        raise InputError(f"lateral controller {type(controller).__name__}: compiled() gave {found!r}, {needed}")
+    return found
 
 
 def _sample(controller: lateral.SlowController, gear: str, sensors: Loop | None, faults: list) -> Callable:
@@ -194,7 +190,7 @@ def _sample(controller: lateral.SlowController, gear: str, sensors: Loop | None,
     def sample(_memory, state, read, base: float) -> float:
         try:
             x_hat, count = np.array(state[: len(STATES)]), next(samples)
-            if faults or not np.isfinite(x_hat).all():
+            if faults or not np.isfinite([*x_hat, base]).all():
                 return math.nan
             if sensors and count and hasattr(controller, "read"):  # nothing is read before the first cycle
                 controller.read(np.array(read[:n_readings]), delay)

@@ -21,7 +21,7 @@ import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
 
-from railrepro.data import InputError, require
+from railrepro.data import InputError, above, require
 from railrepro.quantities import group
 from railrepro.track.irregularity import CHANNELS, LARGEST, check, coordinates
 from railrepro.track.table import Track, track_in
@@ -56,19 +56,42 @@ class Route:
     """Track geometry, irregularities, set point, adhesion and force demand in cells of 0.5 m length; made by `lay`.
 
     Attributes:
-        cells (ndarray, shape (n, len(COLUMNS))): One row per cell: values of `COLUMNS` (SI) at the start of the cell. A
-            name with k letters d in front is the k-th derivative over p.
+        cells (ndarray of float64, shape (n, len(COLUMNS))): One row per cell: values of `COLUMNS` (SI) at the start of
+            the cell. A name with k letters d in front is the k-th derivative over p. Read-only; compiled code reads it.
         length (float): Track coordinate at which a run ends (m): `lay` sets the end of the track, `Scenario.route`
             `end_m`.
+
+    Raises:
+        InputError: `cells` has another type or shape, a value is not finite, or p does not increase by 0.5 m; or
+            `length` is no positive number.
     """
 
     cells: np.ndarray
     length: float
 
+    def __post_init__(self) -> None:
+        cells = self.cells
+        plain = type(cells) is np.ndarray and cells.dtype == np.float64 and cells.ndim == 2
+        if not plain or not len(cells) or cells.shape[1] != len(COLUMNS):
+            shape, kind = getattr(cells, "shape", "none"), getattr(cells, "dtype", "none")
+            found = f"cells is of the class {type(cells).__name__}, shape {shape}, dtype {kind}"
+            raise InputError(f"route: {found}; an ndarray of shape (n, {len(COLUMNS)}), dtype float64 is needed")
+        p, finite = cells[:, INDEX["p"]], np.isfinite(cells)
+        if not finite.all():
+            row, column = np.argwhere(~finite)[0]
+            found = f"{COLUMNS[column]} at p = {p[row]} m is {cells[row, column]}"
+            raise InputError(f"route: {found}, a finite number is needed")
+        for row in np.flatnonzero(np.abs(p - p[0] - CELL * np.arange(p.size)) > 1e-6)[:1]:
+            raise InputError(f"route: p goes from {p[row - 1]} to {p[row]} m, steps of {CELL} m are needed")
+        require("route: length", self.length, above(0.0, 1e6, "m"))
+        cells = np.ascontiguousarray(cells).view()
+        cells.flags.writeable = False
+        object.__setattr__(self, "cells", cells)
+
     @property
     def start(self) -> float:
         """Track coordinate at which the first cell starts (m)."""
-        return self.cells[0, INDEX["p"]]
+        return float(self.cells[0, INDEX["p"]])
 
     def rows_at(self, p: np.ndarray) -> np.ndarray:
         """Row of `cells` for each of the track coordinates p (m, shape (n,)), shape (n, len(COLUMNS)). Beyond the ends

@@ -5,9 +5,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from railrepro.car.equations import CarParameters, parameter_vector
+from railrepro.car.integrator import Stages
 from railrepro.car.kinematics import COORDINATES, Body, Coordinates, Section
-from railrepro.quantities import symbols
-from railrepro.track.route import COLUMNS
+from railrepro.car.wheel_rail import Contact
+from railrepro.contact.table import contact_table
+from railrepro.quantities import symbols, unpack
+from railrepro.track.irregularity import CHANNELS
+from railrepro.track.route import COLUMNS, irregularity_in
+from railrepro.vehicle.parameters import load_vehicle
 
 CELL = {"p": 20.0, "psi": 0.4, "kappa": 6e-3, "dkappa": 3e-4, "phi": 0.08, "dphi": 4e-3, "eps": -0.05, "deps": 2e-3}
 CELL |= {"x": 100.0, "y": -7.0, "z": 3.0, "lateral": 2e-3, "dlateral": 1e-3, "vertical": -1e-3, "dvertical": 3e-3}
@@ -87,3 +93,29 @@ def test_irregularities_run_along_the_cell_and_rails_are_told_apart():
     found = ca.Function("f", [s], [section.lateral, section.vertical, section.crosslevel])(20.3)
     assert [float(value) for value in found] == pytest.approx([2e-3 + 3e-4, -1e-3 + 9e-4, 1e-3 - 6e-4])
     assert {side: float(share) for side, share in section.poor.items()} == {"le": 0.3, "ri": 0.9}
+
+
+@pytest.mark.parametrize(("side", "sign"), [("le", -1), ("ri", 1)])
+def test_the_normal_force_is_square_to_a_rail_that_climbs_on_a_cant_ramp(side, sign):
+    """The rail's direction is the derivative of its position in space; wheels slide along it without friction."""
+    vehicle = load_vehicle(**{"contact.profile": "cone", "adhesion.dry.mu0": 1e-9, "adhesion.poor.mu0": 1e-9})
+    par = unpack(CarParameters, parameter_vector(vehicle))
+    profile = contact_table("cone", vehicle)
+    here = dict.fromkeys(STATE, 0.0) | {"s": STATE["s"], "y": 1e-3, "psi": 2e-3, "pitch": 0.01, "phi": 1e-3}
+    here["z"] = 1e-3 - vehicle.wheel.radius
+    x, state = symbols(Coordinates, "x")
+    stages, gear = Stages(), Body(state, ca.SX(ROW))
+    cell = ca.SX(profile.cells()[np.abs(profile.frame["shift_m"]).argmin()])
+    contact = Contact(gear, side, ca.SX(65.0), cell, par, stages)
+    results = ca.Function("contact", [x], [stages.resolve(contact.force), gear.section.rotation])
+    force, rotation = (np.array(value).squeeze() for value in results(list(here.values())))
+
+    def rail(s):
+        of_cell, half = dict(zip(COLUMNS, ROW, strict=True)), sign * par.gear.contact_base / 2
+        lateral, vertical, crosslevel = (irregularity_in(of_cell, name, s)[0] for name in list(CHANNELS)[:3])
+        moved = here | {"s": s, "y": half + lateral, "z": vertical + half * crosslevel}
+        return at(np.array(list(moved.values())))[1]
+
+    along = rotation.T @ (rail(here["s"] + 1e-4) - rail(here["s"] - 1e-4)) / 2e-4
+    assert abs(along[2]) > 1e-3 and force[2] < -1e4
+    assert force @ along == pytest.approx(0.0, abs=1e-5 * np.linalg.norm(force))

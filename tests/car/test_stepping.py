@@ -1,4 +1,7 @@
-"""The car as a component: stepping, linearisation."""
+"""The car as a component: stepping, arrays, copies, linearisation."""
+
+import copy
+import pickle
 
 import numpy as np
 import pytest
@@ -17,12 +20,37 @@ def test_stepping_gives_what_the_closed_loop_gives(substeps):
     car = SteppedCar("T3", 50.0)
     control = law.control_law(load_vehicle(), None, lateral_limit=0.03, track_end=car.route.length, stop_speed=-1.0)
     coupled = closed_loop.ClosedLoop(SteppedCar("T3", 50.0, substeps=substeps), control)
-    coupled.held[:] = 20.0
+    coupled.car.step(period=5e-3, steps=0)
+    coupled.held = [20.0, 20.0]
     log = coupled.run(500)
     for row in log:
         front, rear = (row[coupled.columns.index(f"{gear}.du")] for gear in equations.GEARS)
         car.step([front, -front, rear, -rear], substeps, CONTROL_PERIOD / substeps)
     assert np.allclose(car.state, coupled.state, rtol=1e-12, atol=1e-12)
+
+
+def test_assigned_arrays_are_those_that_the_car_steps_with():
+    car, other = SteppedCar("T5", 50.0), SteppedCar("T5", 50.0)
+    car.state, car.parameters = car.state.copy(), car.parameters.copy()
+    car.torque = np.full(4, 2000.0)
+    car.step(steps=1000)
+    other.step([2000.0] * 4, 1000)
+    assert np.array_equal(car.state, other.state) and 50.1 < car.outputs["front.v"] < 51.0
+    car.state = SteppedCar("T5", 20.0).state
+    assert (car.outputs["front.p"], car.outputs["front.v"]) == (0.0, 20.0)
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy])
+def test_a_copy_of_a_car_moves_by_itself_and_as_the_car_does(copied):
+    car = SteppedCar("T3", 50.0)
+    car.step([100.0, -100.0, 0.0, 0.0], steps=300)
+    state, other = car.state.copy(), copied(car)
+    other.step(steps=100)
+    assert np.array_equal(car.state, state) and (car.time, other.time) == (0.3, 0.4)
+    car.step(steps=100)
+    assert np.array_equal(car.state, other.state) and car.outputs == other.outputs
+    with pytest.raises(TypeError, match="a SteppedCar cannot be pickled: send its route, speed and vehicle"):
+        pickle.dumps(car)
 
 
 def test_linearisation_names_its_rows_and_columns():

@@ -1,5 +1,6 @@
 """The compiled horizon against a dense quadratic program; samples against each other and the model; fallbacks."""
 
+import ctypes
 from dataclasses import replace
 
 import casadi as ca
@@ -204,11 +205,16 @@ def test_the_observer_learns_nothing_on_the_model_itself_and_the_angle_behind_a_
 )
 def test_while_measurements_are_broken_or_no_torque_is_left_the_old_plan_plays_on(vehicle, way, kind, options):
     guided, x = kind(vehicle, way, 0, WIDE, **options), measured(way, **STATE)
+
+    def sample(state):
+        """A sample as compiled loops ask for it."""
+        return guided._torque(ctypes.c_void_p(state.ctypes.data), ctypes.c_double(0.0))
+
     guided.plan(x, 0.0)
     planned = guided.plan_du.copy()
-    assert [guided.plan(x * np.nan, 0.0) for _ in range(4)] == pytest.approx(planned[1:5])
+    assert [sample(x * np.nan) for _ in range(4)] == pytest.approx(planned[1:5])
     assert guided.plan(x, 0.0) == pytest.approx(planned[0], rel=0.1 if "rti" in options.values() else 1e-4)
-    assert guided.fallbacks == 4 and len(guided.stats) == 6
+    assert guided.fallbacks == 4 and len(guided.stats) == 2
     guided.c.most_sets, guided.drive[0] = 0, 0.0
     assert guided.plan(x, 0.0) == 0.0 and guided.fallbacks == 4 + ("ipopt" not in options.values())
 

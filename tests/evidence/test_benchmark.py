@@ -66,7 +66,9 @@ def test_the_template_is_driven_with_the_numbers_of_its_setting():
 
 def test_a_controller_knows_neither_friction_nor_irregularities():
     route = short("equal").scenario.route()
-    cells = known(Route(np.ones_like(route.cells), route.length)).cells
+    full = np.ones_like(route.cells)
+    full[:, INDEX["p"]] = route.cells[:, INDEX["p"]]
+    cells = known(Route(full, route.length)).cells
     hidden = ["lateral", "ddvertical", "gauge", "poor_le", "poor_ri"]
     for name in (*hidden, "force", "y_ref", "kappa"):
         assert cells[:, INDEX[name]].any() == (name not in hidden), name

@@ -8,8 +8,24 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from railrepro import NDI, Readings, figures, load_loop, load_scenario, load_track, load_vehicle, paths, simulate
-from railrepro.contact.table import contact_table
+from railrepro import (
+    LTVMPC,
+    NDI,
+    NMPC,
+    Export,
+    LqgPreview,
+    Readings,
+    SteppedCar,
+    figures,
+    lay,
+    load_loop,
+    load_scenario,
+    load_track,
+    load_vehicle,
+    paths,
+    simulate,
+)
+from railrepro.contact.table import ContactTable, contact_table
 from railrepro.control import registry
 from railrepro.control.registry import guidance, parameters
 from railrepro.estimation.sensors import Latency
@@ -23,6 +39,7 @@ from railrepro.track import route
 from railrepro.track.alignment import alignments
 from railrepro.track.irregularity import irregularities, irregularity_spectrum
 from railrepro.track.rough import rough_track
+from railrepro.track.route import COLUMNS, Route
 from railrepro.track.table import build_table
 from railrepro.tuning import swarm, task
 
@@ -34,6 +51,9 @@ FAULT = {"kind": "alignment_fault", "start": 40.0, "length": 20.0, "amplitude": 
 SWITCH = {"kind": "lateral_offset", "start": 50.0, "length": 10.0, "offset": 5e-3, "transition": 8.0}
 CONES = load_vehicle(**{"contact.profile": "cone"})
 """A car whose contact table takes no time."""
+STRAIGHT = lay(load_track("T5"))
+CELLS, FORCE = STRAIGHT.cells, np.eye(len(COLUMNS))[COLUMNS.index("force")]
+TABLE = contact_table("cone", CONES).frame
 
 
 def scenario(**changes):
@@ -48,10 +68,39 @@ def rough(**channels):
     return irregularities(WAY).assign(**channels)
 
 
-def planning(torque, **attributes):
-    """A run whose slower controllers plan a torque."""
+def planner(torque, **attributes):
+    """A factory of slower controllers that plan a torque."""
     controller = type("Plan", (), {"period": 0.01, "plan": lambda self, x, u: torque} | attributes)
-    return drive(lambda *_: controller())
+    return lambda *_: controller()
+
+
+def planning(torque, **attributes):
+    return drive(planner(torque, **attributes))
+
+
+def once(factory):
+    """A factory that gives both gears one controller."""
+    made = {}
+    return lambda *of: made.setdefault("one", factory(*of))
+
+
+def of_gears(front, rear):
+    return lambda vehicle, way, gear: (front, rear)[gear](vehicle, way, gear)
+
+
+def law(result, **attributes):
+    return type("Law", (), {"torque": lambda self, q: result} | attributes)()
+
+
+def put(**values):
+    """Assign an array of a car."""
+    car = SteppedCar(STRAIGHT, 50.0, CONES)
+    for name, value in values.items():
+        setattr(car, name, value)
+
+
+def on(frame):
+    return SteppedCar(STRAIGHT, 50.0, CONES, table=ContactTable(frame))
 
 
 def file(text, read, name="mine.csv"):

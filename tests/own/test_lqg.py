@@ -145,7 +145,7 @@ def test_it_guides_until_standstill():
         assert run.ended.startswith("stop speed") and metrics.rmse(run.series) < (5e-5 if sensors is None else 3e-4)
 
 
-def test_a_sample_keeps_the_limit_and_holds_near_rest():
+def test_a_sample_keeps_the_limit_holds_near_rest_and_gives_no_torque_at_what_is_no_number():
     """A gear on T3 with perfect measurements; its sample as a function of speed and displacement."""
     gear = LqgPreview()(V, T3.route(), 0)
     gear.compiled(None)
@@ -160,3 +160,4 @@ def test_a_sample_keeps_the_limit_and_holds_near_rest():
     for y in 1e-3 * np.arange(1, 41):
         torque = sample(70.0, y)
     assert abs(torque) == V.drive.torque_limit == abs(gear.memory.torques[0])
+    assert np.isnan([sample(np.nan, 0.0), sample(70.0, np.nan)]).all()

@@ -12,6 +12,7 @@ from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.interface import MEASURED
 from railrepro.control.ndi import NDI
 from railrepro.estimation.sensors import Latency, Readings, load_loop
+from railrepro.own.lqg import LqgPreview
 from railrepro.quantities import GEARS
 from railrepro.simulation import closed_loop, scenarios, simulate
 from railrepro.track.rough import LateralOffset
@@ -84,6 +85,18 @@ def test_readings_are_against_the_rails_and_as_old_as_reported_when_their_torque
     seen = int(np.argmin(np.abs(shown - last[:2]).max(axis=1)))
     assert shown[seen] == pytest.approx(last[:2], abs=1e-12) and aside.max() > 2e-3 and slope.max() > 4e-4
     assert guided.delays == {int(run.series["front_le.tau"][100:].diff().argmax()) + 99 - seen}
+
+
+@pytest.mark.parametrize("front", [0, 1])
+def test_gears_may_have_controllers_of_different_kinds(front):
+    """Compiled and called from Python; each gives the first torque that it gives beside one of its own kind."""
+    scenario = scenarios.load_scenario("curve_entry_T3").but(end_m=5.0)
+    kinds = [lambda v, w, gear: Counting(gear, 1e-3), LqgPreview()]
+    pure = [simulate.run(scenario, kind).series for kind in kinds]
+    mixed = simulate.run(scenario, lambda v, w, gear: kinds[front ^ gear](v, w, gear)).series
+    for gear, kind in (("front", front), ("rear", 1 - front)):
+        assert mixed[f"{gear}.du"][:20].to_numpy() == pytest.approx(pure[kind][f"{gear}.du"][:20], rel=1e-2, abs=0.5)
+    assert mixed["rear.du" if front else "front.du"].iloc[19] > 10.0
 
 
 def braked(**changes):

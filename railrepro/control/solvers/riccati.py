@@ -92,7 +92,7 @@ class Horizon:
     """
 
     def __init__(self, settings: MPCSettings, nominal: np.ndarray, parameters: np.ndarray, route: Route):
-        self.settings, cells = settings, np.ascontiguousarray(route.cells)
+        self.settings, cells = settings, route.cells
         self.library, of_horizon, of_stage = _compiled(settings.variant, settings.discretisation)
         self.stages = np.zeros(settings.steps + 1, of_stage)
         self.x_d, self.theta, self.x = (self.stages[name] for name in ("x_d", "theta", "x"))
