@@ -1,14 +1,17 @@
-"""Named quantities: a table of names and units makes a frozen dataclass; vectors and columns follow from it. An entry
-is a number or an expression, a list with labels, or a group of further entries. Its name is the path to it: `front.y`
-is `y` of the group `front`, `tau_le.3` is entry 3 of the list `tau_le`."""
+"""Named quantities: a frozen dataclass states names, order and units of its entries; vectors and columns follow.
+
+A field is a number, `Annotated[Scalar, unit]` or `Annotated[Scalar, unit, meaning]`; a list with one element for each
+label, `Annotated[list[Scalar], labels]`; or a further such dataclass. The name of an entry is the path to it: `front.y`
+is `y` of the field `front`, `tau.front_le` is the element `front_le` of the list `tau`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import fields, is_dataclass, make_dataclass
 from functools import cache
 from itertools import product
-from typing import Annotated, Any, TypeVar, get_args, get_type_hints
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import casadi as ca
 
@@ -17,34 +20,20 @@ SIDES = ("le", "ri")
 GEAR_AND_SIDE = dict(zip(("front_le", "front_ri", "rear_le", "rear_ri"), product(GEARS, SIDES), strict=True))
 """Name of a wheel -> (running gear, side): "front_le" -> ("front", "le"); le is left, ri right."""
 WHEELS = tuple(GEAR_AND_SIDE)
+Scalar = Any
+"""Type of an entry: a number, an array or a CasADi expression."""
 Group = TypeVar("Group")
 
 
-def listed(labels: Iterable) -> Any:
-    """Annotation of a field of `group` that holds a list with one element for each of `labels`. `names` calls an
-    element FIELD.LABEL."""
-    return Annotated[list, tuple(map(str, labels))]
-
-
-def group(name: str, *members: str | Mapping[str, Any]) -> Any:
-    """Make a frozen dataclass of quantities.
-
-    Args:
-        name (str): Name of the class.
-        members (str or mapping): Fields in order. A string gives names with units: "y m, psi rad". A mapping gives for
-            each name a unit, a list `listed(…)`, or another such dataclass (a group). The function `names` calls field
-            y of a group g "g.y". If the group is `Annotated[dataclass, prefix]`, the name is "prefix.y".
-    """
-    types: dict[str, Any] = {}
-    for some in members:
-        of = dict(each.split(" ", 1) for each in some.split(", ")) if isinstance(some, str) else some
-        types |= {entry: Annotated[Any, unit] if isinstance(unit, str) else unit for entry, unit in of.items()}
-    return make_dataclass(name, types.items(), frozen=True)
+def reannotated(of: type[Group], **annotations: Any) -> type[Group]:
+    """Subclass of a dataclass of quantities in which some fields have other annotations, such as the labels of a list
+    that are known at run time only. The order of the fields stays."""
+    return make_dataclass(of.__name__, annotations.items(), bases=(of,), frozen=True)
 
 
 @cache
 def _members(of: Any) -> list[tuple[str, type | None, tuple[str, ...] | None, Any]]:
-    """Each field with its class if it is a group, its labels if it is a list, and its annotation if it has one."""
+    """Each field with its class if it is a dataclass, its labels if it is a list, and its first note if it has one."""
     hints = get_type_hints(of, include_extras=True)
     found: list = []
     for field in fields(of):
@@ -53,13 +42,14 @@ def _members(of: Any) -> list[tuple[str, type | None, tuple[str, ...] | None, An
         if is_dataclass(inner):
             found.append((field.name, inner, None, note))
         elif inner is not str:
-            found.append((field.name, None, note if inner is list else None, note))
+            labels = tuple(map(str, more[0])) if get_origin(inner) is list else None
+            found.append((field.name, None, labels, note))
     return found
 
 
 def notes(of: type) -> list[tuple[str, Any]]:
-    """Pairs (name, note) of all entries of a `group` class, in the order of `names`. The note is the unit (str) or the
-    `data.Quantity` of the entry; None for an element of a list."""
+    """Pairs (name, note) of all entries of a dataclass of quantities, in the order of `names`. The note is the unit
+    (str) or the `data.Quantity` of the entry; None for an element of a list."""
     found: list[tuple[str, Any]] = []
     for name, inner, labels, note in _members(of):
         if inner:
@@ -70,13 +60,13 @@ def notes(of: type) -> list[tuple[str, Any]]:
 
 
 def names(of: type) -> tuple[str, ...]:
-    """Names of all entries of a `group` class in order: "front.y" for a field of a group, "tau.le" for a list
-    element."""
+    """Names of all entries of a dataclass of quantities in order: "y" for a number, "front.y" for an entry of the field
+    `front`, "tau.front_le" for a list element. Entries of a field `Annotated[dataclass, prefix]` are "prefix.y"."""
     return tuple(name for name, _ in notes(of))
 
 
 def pack(values: Any) -> list:
-    """Flat list of the entries of an instance of a `group` class, in the order of `names`."""
+    """Flat list of the entries of an instance of a dataclass of quantities, in the order of `names`."""
     found: list = []
     for name, inner, labels, _ in _members(type(values)):  # type: ignore[arg-type]
         value = getattr(values, name)
@@ -85,7 +75,7 @@ def pack(values: Any) -> list:
 
 
 def unpack(of: type[Group], entries: Iterable) -> Group:
-    """Instance of the `group` class `of` from a flat list of its entries in the order of `names`."""
+    """Instance of the dataclass of quantities `of` from a flat list of its entries in the order of `names`."""
     source = iter(entries)
     made = object.__new__(of)
     for name, inner, labels, _ in _members(of):  # type: ignore[arg-type]
@@ -97,13 +87,13 @@ def unpack(of: type[Group], entries: Iterable) -> Group:
 
 
 def indices(of: type[Group]) -> Group:
-    """Instance of the `group` class `of` in which each entry is its own index in the list of `pack`."""
+    """Instance of the dataclass of quantities `of` in which each entry is its own index in the list of `pack`."""
     return unpack(of, range(len(names(of))))
 
 
 def symbols(of: type[Group], name: str) -> tuple[ca.SX, Group]:
-    """Pair: CasADi vector SX called `name`, shape (len(names(of)), 1); instance of the `group` class `of`, whose
-    entries are the elements of this vector."""
+    """Pair: CasADi vector SX called `name`, shape (len(names(of)), 1); instance of the dataclass of quantities `of`,
+    whose entries are the elements of this vector."""
     vector = ca.SX.sym(name, len(names(of)))
     return vector, unpack(of, ca.vertsplit(vector))
 

@@ -2,8 +2,10 @@
 
 import os
 import re
+from dataclasses import is_dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from typing import get_type_hints
 
 from railrepro import __version__, paths
 
@@ -87,5 +89,15 @@ def _literal(app, what, name, obj, options, lines):
     lines[:] = text.replace("(**", r"(\*\*").replace(", **", r", \*\*").split("\n")
 
 
+def _fields(app, what, name, obj, options, lines):
+    """Fields of a dataclass of quantities: their units and meanings stand in the annotations."""
+    hints = get_type_hints(obj, include_extras=True) if what == "class" and is_dataclass(obj) else {}
+    for field, hint in hints.items():
+        unit, *meaning = getattr(hint, "__metadata__", [None])
+        if isinstance(unit, str):
+            lines.append(f":ivar {field}: {' '.join([*meaning, f'({unit})'])}")
+
+
 def setup(app):
     app.connect("autodoc-process-docstring", _literal)
+    app.connect("autodoc-process-docstring", _fields)

@@ -66,6 +66,13 @@ def c_text(*more: ca.Function) -> str:
     return codegen.source_text(more) + _pairs() + codegen.PREAMBLE + codegen.defines(_SIZES) + _SOURCE
 
 
+def compile_ahead() -> None:
+    """Have the compiler begin with the car, while this process derives other things. Nothing is done where the car is
+    loaded already."""
+    if not library.cache_info().currsize:
+        cache.build_ahead(c_text())
+
+
 @lru_cache(maxsize=1)
 def library() -> ctypes.CDLL:
     """Shared object of the car as `ctypes.CDLL`, with the functions of car.c. Compiled once, then cached."""

@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
@@ -27,27 +27,55 @@ from railrepro.compile.codegen import stored
 from railrepro.compile.reciprocals import share_reciprocals
 from railrepro.contact.table import CELL_COLUMNS, ContactTable, in_cell
 from railrepro.data import InputError
-from railrepro.quantities import GEARS, SIDES, WHEELS, group, listed, names, pack, symbols, unpack
+from railrepro.quantities import GEARS, SIDES, WHEELS, Scalar, names, pack, symbols, unpack
 from railrepro.track import route
 from railrepro.vehicle.parameters import AdhesionSet, CarBody, Drive, Gear, Vehicle, Wheel, WheelRail
 from railrepro.vehicle.parameters import Suspension as SuspensionData
 
 BODIES = ("body", *GEARS)
-CarState = group("CarState", dict.fromkeys(BODIES, Coordinates), dict.fromkeys(("w", "tau"), listed(WHEELS)))
-"""Coordinates of `body`, `front`, `rear`; wheel speeds `w` (rad/s), motor torques `tau` (N m), traction-positive."""
+
+
+@dataclass(frozen=True)
+class CarState:
+    """Coordinates of car body, front and rear running gear; wheel speeds `w` (rad/s), motor torques `tau` (N m),
+    traction-positive."""
+
+    body: Coordinates
+    front: Coordinates
+    rear: Coordinates
+    w: Annotated[list[Scalar], WHEELS]
+    tau: Annotated[list[Scalar], WHEELS]
+
+
 STATES = names(CarState)
 INDEX = {name: i for i, name in enumerate(STATES)}
 """Index of each state in the state vector by name."""
 FLOOR = {"floor_front": 0.5, "floor_centre": 0.0, "floor_rear": -0.5}
 """Points of the car body floor: distance ahead of the body's centre of gravity over the distance of the gears (-)."""
 
-CarParameters = group(
-    "CarParameters",
-    {"body": CarBody, "gear": Gear, "wheel": Wheel, "suspension": SuspensionData, "drive": Drive, "contact": WheelRail},
-    {"adhesion": group("Rails", {"good": AdhesionSet, "poor": AdhesionSet})},
-    "gravity m/s2",
-)
-"""Run-time parameters of the car (SI), numbers or symbols: `par` in the functions of this package."""
+
+@dataclass(frozen=True)
+class Rails:
+    """Adhesion sets of the rail and of its slippery stretches."""
+
+    good: AdhesionSet
+    poor: AdhesionSet
+
+
+@dataclass(frozen=True)
+class CarParameters:
+    """Run-time parameters of the car (SI), numbers or symbols: `par` in the functions of this package."""
+
+    body: CarBody
+    gear: Gear
+    wheel: Wheel
+    suspension: SuspensionData
+    drive: Drive
+    contact: WheelRail
+    adhesion: Rails
+    gravity: Annotated[Scalar, "m/s2"]
+
+
 PARAMETERS = names(CarParameters)
 SLIP_FLOOR = 1.0
 """Smallest speed by which the output `sx` divides the sliding speed (m/s)."""
@@ -120,7 +148,7 @@ class Car:
 class _Elements:
     """Bodies of a car and what acts between them; wheels, their speeds and torques in the order of `WHEELS`."""
 
-    def __init__(self, state: Any, rows: ca.SX, contacts: ca.SX, par: Any, stages: Stages):
+    def __init__(self, state: CarState, rows: ca.SX, contacts: ca.SX, par: CarParameters, stages: Stages):
         states = zip((state.body, state.front, state.rear), ca.horzsplit(rows), strict=True)
         self.body, *self.gears = (Body(of, row) for of, row in states)
         ends = zip(self.gears, (1, -1), strict=True)
@@ -160,10 +188,10 @@ def car() -> Car:
     )
 
 
-def _motion(elements: _Elements, commands: list, par: Any) -> tuple[ca.SX, ca.SX, ca.SX]:
+def _motion(elements: _Elements, commands: list, par: CarParameters) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Derivatives of the states, and force per mass and angular acceleration that the car body feels."""
     speeds, torques, body = elements.speeds, elements.torques, elements.body
-    gravity = ca.vertcat(0, 0, par.gravity)
+    gravity: Any = ca.vertcat(0, 0, par.gravity)
     carried, moment = ca.SX.zeros(3), ca.SX.zeros(3)
     for gear, suspension in zip(elements.gears, elements.suspensions, strict=True):
         carried -= body.section.rotation.T @ gear.attitude @ suspension.force_on_lower
@@ -181,7 +209,7 @@ def _motion(elements: _Elements, commands: list, par: Any) -> tuple[ca.SX, ca.SX
     return ca.vertcat(*derivatives, *spin_up, *lag), *felt
 
 
-def _gear_motion(g: int, elements: _Elements, gravity: ca.SX, par: Any) -> ca.SX:
+def _gear_motion(g: int, elements: _Elements, gravity: ca.SX, par: CarParameters) -> ca.SX:
     """Derivatives of the states of a running gear's carrier."""
     gear, suspension, of_gear = elements.gears[g], elements.suspensions[g], slice(2 * g, 2 * g + 2)
     mass, inertia = _inertia(par.gear)
@@ -194,12 +222,12 @@ def _gear_motion(g: int, elements: _Elements, gravity: ca.SX, par: Any) -> ca.SX
     return gear.derivatives(force, moment, mass, inertia, spin)
 
 
-def _inertia(of: Any) -> tuple[ca.SX, ca.SX]:
+def _inertia(of: CarBody | Gear) -> tuple[Any, Any]:
     """Mass (kg) and principal moments of inertia (kg m2, shape (3, 1)) of a body."""
     return of.mass, ca.vertcat(of.inertia_x, of.inertia_y, of.inertia_z)
 
 
-def _torque_rate(command: ca.SX, speed: ca.SX, torque: ca.SX, par: Any) -> ca.SX:
+def _torque_rate(command: ca.SX, speed: ca.SX, torque: ca.SX, par: CarParameters) -> ca.SX:
     """Lag of a motor torque (N m/s); at rest it holds the wheel. Source: Dahl 1968, A Solid Friction Model."""
     limit = par.drive.limit(speed)
     # by comparison, as fmin and fmax would make a limit of a command that is no number
@@ -247,7 +275,7 @@ def _outputs(elements: _Elements, floor: list) -> list[ca.SX]:
     return [entry for of in (*gears, *wheels, *suspensions, of_body, *floor) for entry in pack(of)]
 
 
-def _floor(body: Body, force: ca.SX, rotation: ca.SX, par: Any) -> list:
+def _floor(body: Body, force: ca.SX, rotation: ca.SX, par: CarParameters) -> list:
     """Accelerations of the points of the floor. Source: Goldstein, Poole and Safko 2002, Classical Mechanics, ch. 4."""
     out = []
     for position in FLOOR.values():
@@ -257,12 +285,15 @@ def _floor(body: Body, force: ca.SX, rotation: ca.SX, par: Any) -> list:
     return out
 
 
-def _energies(elements: _Elements, par: Any) -> list[ca.SX]:
+def _energies(elements: _Elements, par: CarParameters) -> list[ca.SX]:
     """Mechanical energy, motor power and losses, for the energy balance."""
     speeds, torques, wheels = elements.speeds, elements.torques, elements.wheels
     forces: list[Any] = [*elements.suspensions, *wheels]
     energy = sum(force.energy for force in forces)
-    parts: list[tuple[Body, Any]] = [(elements.body, par.body), *((gear, par.gear) for gear in elements.gears)]
+    parts: list[tuple[Body, CarBody | Gear]] = [
+        (elements.body, par.body),
+        *((gear, par.gear) for gear in elements.gears),
+    ]
     for body, of in parts:
         mass, inertia = _inertia(of)
         energy += mass * (ca.sumsqr(body.v) / 2 - par.gravity * body.position[2])
@@ -296,7 +327,7 @@ def _rest(centred: tuple[float, ...]) -> ca.Function:
     half, radius = vehicle.body.gear_spacing / 2, contact["effective_radius"]
     sink, axle = vehicle.wheel.radius - radius + drop, drop - radius
 
-    def rolling(s: ca.SX | float, z: ca.SX) -> Any:
+    def rolling(s: ca.SX | float, z: ca.SX) -> Coordinates:
         return Coordinates(s, 0.0, z, 0.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     bodies = rolling(-half, sink - vehicle.body.cg_height), rolling(0.0, axle), rolling(-(2 * half), axle)

@@ -3,21 +3,34 @@ paper's section Coordinate Frames, for the plant."""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 import casadi as ca
 
-from railrepro.quantities import group, named, names, pack
+from railrepro.quantities import Scalar, named, names, pack
 from railrepro.track import route
 from railrepro.track.irregularity import CHANNELS
 
-Coordinates = group(
-    "Coordinates",
-    "s m, y m, z m, psi rad, pitch rad, phi rad, vx m/s, vy m/s, vz m/s, wx rad/s, wy rad/s, wz rad/s",
-)
-"""State of a body: track coordinate s, lateral and vertical position y, z in the track frame at s (m); yaw psi, pitch,
-roll phi against that frame (rad); absolute velocity in track-frame components (m/s); absolute angular velocity in body
-axes (rad/s)."""
+
+@dataclass(frozen=True)
+class Coordinates:
+    """State of a body."""
+
+    s: Annotated[Scalar, "m", "track coordinate"]
+    y: Annotated[Scalar, "m", "lateral position in the track frame at s"]
+    z: Annotated[Scalar, "m", "vertical position in the track frame at s"]
+    psi: Annotated[Scalar, "rad", "yaw angle against the track frame"]
+    pitch: Annotated[Scalar, "rad", "pitch angle against the track frame"]
+    phi: Annotated[Scalar, "rad", "roll angle against the track frame"]
+    vx: Annotated[Scalar, "m/s", "absolute velocity in track-frame components"]
+    vy: Annotated[Scalar, "m/s"]
+    vz: Annotated[Scalar, "m/s"]
+    wx: Annotated[Scalar, "rad/s", "absolute angular velocity in body axes"]
+    wy: Annotated[Scalar, "rad/s"]
+    wz: Annotated[Scalar, "rad/s"]
+
+
 COORDINATES = names(Coordinates)
 
 
@@ -86,7 +99,7 @@ class Section:
         return d * (at_start[0] + d / 2 * (at_start[1] + d / 3 * at_start[2]))
 
 
-class Body(Coordinates):  # type: ignore[valid-type, misc]
+class Body(Coordinates):
     """Position and motion of one rigid body, as CasADi expressions; its fields are those of `Coordinates`.
 
     Args:
@@ -105,7 +118,7 @@ class Body(Coordinates):  # type: ignore[valid-type, misc]
     Source: Goldstein, Poole and Safko 2002, Classical Mechanics, ch. 4 (rates of the angles, rotating frame).
     """
 
-    def __init__(self, state: Any, row: ca.SX):
+    def __init__(self, state: Coordinates, row: ca.SX):
         super().__init__(*pack(state))
         self.section = Section(self.s, row)
         self.rotation = orientation(self.psi, self.pitch, self.phi)

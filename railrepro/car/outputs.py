@@ -3,37 +3,94 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated
 
-from railrepro.quantities import WHEELS, group
+from railrepro.quantities import Scalar
 
-_STATES = "p m, psi_Ax rad, v m/s, psidot_Ax rad/s, y m, psi_TrAx rad"
-GearStates = group("GearStates", _STATES)
-"""States of a running gear in the order of the control model: track coordinate p (m), heading psi_Ax (rad), speed
-along the track v (m/s), yaw rate psidot_Ax (rad/s), lateral displacement y (m) and yaw angle psi_TrAx (rad) against
-the track."""
-GearOutputs = group("GearOutputs", _STATES, "phi rad, rail_y m")
-"""`GearStates`, roll against the track phi (rad) and lateral offset of the rails from the ideal track rail_y (m)."""
-WheelOutputs = group(
-    "WheelOutputs",
-    "w rad/s, tau N m, N N, Fx N, Fy N, adhesion -, sx -, nu_x -, nu_y -, spin 1/m, M_spin N m, angle rad",
-)
-"""Speed w (rad/s) and motor torque tau (N m) of a wheel; normal force N, creep forces along and across the rail Fx,
-Fy (N); adhesion Fx/N and slip sx = (v - w r)/v (-); creepages nu_x, nu_y along and across (-) and spin (1/m) about
-the normal; moment of spin M_spin (N m); contact angle (rad)."""
-SuspensionOutputs = group("SuspensionOutputs", "yaw_to_body rad, sway m")
-"""Yaw of a gear against the car body (rad), and lateral deflection of its suspension `sway` (m)."""
-BodyOutputs = group("BodyOutputs", "s m, y m, z m, psi rad, pitch rad, phi rad, vx m/s")
-"""Track coordinate s, displacements y, z (m), angles psi, pitch, phi (rad) and speed vx (m/s) of the car body."""
-FloorOutputs = group("FloorOutputs", "ax m/s2, ay m/s2, az m/s2")
-"""Acceleration ax, ay, az of a point of the floor in axes of the car body (m/s2) as an accelerometer reads it: at
-rest az is -g."""
-Outputs = group(
-    "Outputs",
-    {"front": GearOutputs, "rear": GearOutputs},
-    dict.fromkeys(WHEELS, WheelOutputs),
-    {"front_suspension": Annotated[SuspensionOutputs, "front"]},
-    {"rear_suspension": Annotated[SuspensionOutputs, "rear"]},
-    {"body": BodyOutputs, "floor_front": FloorOutputs, "floor_centre": FloorOutputs, "floor_rear": FloorOutputs},
-)
-"""All outputs of the car; `quantities.names` gives their names, such as "front.y", "front_le.N" and "floor_rear.ay"."""
+
+@dataclass(frozen=True)
+class GearStates:
+    """States of a running gear in the order of the control model."""
+
+    p: Annotated[Scalar, "m", "track coordinate"]
+    psi_Ax: Annotated[Scalar, "rad", "heading"]
+    v: Annotated[Scalar, "m/s", "speed along the track"]
+    psidot_Ax: Annotated[Scalar, "rad/s", "yaw rate"]
+    y: Annotated[Scalar, "m", "lateral displacement from the track"]
+    psi_TrAx: Annotated[Scalar, "rad", "yaw angle against the track"]
+
+
+@dataclass(frozen=True)
+class GearOutputs(GearStates):
+    """Outputs of the car about a running gear."""
+
+    phi: Annotated[Scalar, "rad", "roll angle against the track"]
+    rail_y: Annotated[Scalar, "m", "lateral offset of the rails from the ideal track"]
+
+
+@dataclass(frozen=True)
+class WheelOutputs:
+    """Outputs of the car about a wheel."""
+
+    w: Annotated[Scalar, "rad/s", "angular speed"]
+    tau: Annotated[Scalar, "N m", "motor torque"]
+    N: Annotated[Scalar, "N", "normal force"]
+    Fx: Annotated[Scalar, "N", "creep force along the rail"]
+    Fy: Annotated[Scalar, "N", "creep force across the rail"]
+    adhesion: Annotated[Scalar, "-", "Fx/N"]
+    sx: Annotated[Scalar, "-", "slip (v - w r)/v"]
+    nu_x: Annotated[Scalar, "-", "creepage along the rail"]
+    nu_y: Annotated[Scalar, "-", "creepage across the rail"]
+    spin: Annotated[Scalar, "1/m", "spin creepage, about the normal"]
+    M_spin: Annotated[Scalar, "N m", "moment of spin"]
+    angle: Annotated[Scalar, "rad", "contact angle"]
+
+
+@dataclass(frozen=True)
+class SuspensionOutputs:
+    """Outputs of the car about the suspension of a running gear."""
+
+    yaw_to_body: Annotated[Scalar, "rad", "yaw angle of the running gear against the car body"]
+    sway: Annotated[Scalar, "m", "lateral deflection"]
+
+
+@dataclass(frozen=True)
+class BodyOutputs:
+    """Outputs of the car about its body."""
+
+    s: Annotated[Scalar, "m", "track coordinate"]
+    y: Annotated[Scalar, "m", "lateral displacement"]
+    z: Annotated[Scalar, "m", "vertical displacement"]
+    psi: Annotated[Scalar, "rad", "yaw angle"]
+    pitch: Annotated[Scalar, "rad", "pitch angle"]
+    phi: Annotated[Scalar, "rad", "roll angle"]
+    vx: Annotated[Scalar, "m/s", "speed"]
+
+
+@dataclass(frozen=True)
+class FloorOutputs:
+    """Acceleration of a point of the floor, in axes of the car body, as an accelerometer reads it: at rest az is -g."""
+
+    ax: Annotated[Scalar, "m/s2"]
+    ay: Annotated[Scalar, "m/s2"]
+    az: Annotated[Scalar, "m/s2"]
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """All outputs of the car; `quantities.names` gives their names, such as "front.y", "front_le.N" and
+    "floor_rear.ay"."""
+
+    front: GearOutputs
+    rear: GearOutputs
+    front_le: WheelOutputs
+    front_ri: WheelOutputs
+    rear_le: WheelOutputs
+    rear_ri: WheelOutputs
+    front_suspension: Annotated[SuspensionOutputs, "front"]
+    rear_suspension: Annotated[SuspensionOutputs, "rear"]
+    body: BodyOutputs
+    floor_front: FloorOutputs
+    floor_centre: FloorOutputs
+    floor_rear: FloorOutputs

@@ -44,6 +44,35 @@ def _rail_slopes(gear: Body, sign: int, par: Any) -> tuple[ca.SX, ca.SX]:
     return rates["lateral"] + sign * rates["gauge"] / 2, sinking
 
 
+class _Axes:
+    """Unit vectors of a contact in the axes of the unpitched axle: what rail and profile give in these does not depend
+    on the pitch.
+
+    Args:
+        gear (Body): Wheel carrier of the wheel.
+        sign (int): Side of the wheel, positive to the right.
+        slope, cos_angle (SX): Tangent and cosine of the contact angle.
+        par (CarParameters): Parameters, see `equations.CarParameters`.
+
+    Attributes:
+        to_track, to_carrier (SX, shape (3, 3)): From these axes to the track frame, and to the axes of the carrier.
+        tangent, lateral, normal (SX, shape (3, 1)): Along the rail, across it in the contact plane, normal to that.
+    """
+
+    def __init__(self, gear: Body, sign: int, slope: ca.SX, cos_angle: ca.SX, par: Any):
+        self.to_track = rotation("z", gear.psi) @ rotation("x", gear.phi)
+        self.to_carrier = rotation("x", -gear.phi) @ rotation("y", -gear.pitch) @ rotation("x", gear.phi)
+        turn_rate, base = gear.section.turn_rate, sign * par.gear.contact_base / 2
+        aside, sinking = _rail_slopes(gear, sign, par)
+        climb = turn_rate[0] * base + sinking
+        tangent = ca.vertcat(1, ca.vertcat(aside, climb) / (1 - turn_rate[2] * base))
+        self.tangent = self.to_track.T @ (tangent / ca.norm_2(tangent))
+        normal = ca.vertcat(0, sign * slope * cos_angle, cos_angle)
+        normal -= self.tangent * ca.dot(self.tangent, normal)
+        self.normal = normal / ca.norm_2(normal)
+        self.lateral = ca.cross(self.normal, self.tangent)
+
+
 class Contact:
     """Contact of one wheel with its rail: normal force with damping and lift-off, creepages, tangential force.
 
@@ -70,48 +99,43 @@ class Contact:
 
     def __init__(self, gear: Body, side: str, speed: ca.SX, row: ca.SX, par: Any, stages: Stages):
         sign, cell = _SIGN[side], named(CELL_COLUMNS, row)
-        self.gear, section = gear, gear.section
         offset = shift_to_flange(gear, side, par) - cell["shift"]
-        at = in_cell(cell, offset)
+        at, (rail_y, rail_z) = in_cell(cell, offset), _rail_in_axle(gear, sign, par)
         cos_angle = 1 / ca.sqrt(1 + at["slope"] ** 2)
-        rail_y, rail_z = _rail_in_axle(gear, sign, par)
+        self.gear, self.angle = gear, ca.atan(at["slope"])
         self.penetration = (at["effective_radius"] - rail_z) * cos_angle
-        self.angle = ca.atan(at["slope"])
-
-        # Axes of the unpitched axle serve below: what rail and profile give in them does not depend on the pitch.
-        upright = rotation("z", gear.psi) @ rotation("x", gear.phi)
-        to_body = rotation("x", -gear.phi) @ rotation("y", -gear.pitch) @ rotation("x", gear.phi)
-        turn_rate, base = section.turn_rate, sign * par.gear.contact_base / 2
-        aside, sinking = _rail_slopes(gear, sign, par)
-        climb = turn_rate[0] * base + sinking
-        tangent = ca.vertcat(1, ca.vertcat(aside, climb) / (1 - turn_rate[2] * base))
-        tangent = upright.T @ (tangent / ca.norm_2(tangent))
-        normal = ca.vertcat(0, sign * at["slope"] * cos_angle, cos_angle)
-        normal -= tangent * ca.dot(tangent, normal)
-        normal /= ca.norm_2(normal)
-        lateral = ca.cross(normal, tangent)
+        axes = _Axes(gear, sign, at["slope"], cos_angle, par)
         # A wheel is a body of revolution, so the normal meets its axis: on a rail that climbs against the axle (cant
         # ramp) the contact sits ahead of or behind the lowest point.
-        ahead = normal[0] / normal[2]
+        ahead = axes.normal[0] / axes.normal[2]
         depth = at["rolling_radius"] - self.penetration / cos_angle
-        at_normal = ca.vertcat(ahead * rail_z, rail_y, rail_z)
         at_contact = ca.vertcat(ahead * depth, rail_y + sign * at["rail_contact"], depth)
 
-        spin = to_body.T @ ca.vertcat(gear.wx, -speed, gear.wz)
-        slide = upright.T @ gear.v + ca.cross(spin, at_contact)  # the hub lies on the axis of the spin that it adds
-        rolling_speed = ca.sqrt(gear.vx**2 + par.contact.rest_speed**2)
-        motion = [offset, self.penetration, self._penetration_rate(gear, sign, par), ca.dot(slide, tangent)]
-        motion += [ca.dot(slide, lateral), ca.dot(spin, normal), rolling_speed]
-        forces = self._forces(stages.hold(*motion), cell, section.poor[side], par)
+        motion = [offset, self.penetration, self._penetration_rate(gear, sign, par)]
+        motion += self._sliding(speed, at_contact, axes, par)
+        forces = self._forces(stages.hold(*motion), cell, gear.section.poor[side], par)
         self.normal, self.spin_moment, *self.tangential = stages.hold(*forces)
+        self._act(ca.vertcat(ahead * rail_z, rail_y, rail_z), at_contact, axes)
 
-        creep_force = tangent * self.tangential[0] + lateral * self.tangential[1]
-        normal_force = -normal * self.normal
+    def _sliding(self, speed: ca.SX, at_contact: ca.SX, axes: _Axes, par: Any) -> list[ca.SX]:
+        """Sliding speeds along and across the rail (m/s), turning speed about the normal (rad/s), running speed, not 0
+        at standstill (m/s)."""
+        spin = axes.to_carrier.T @ ca.vertcat(self.gear.wx, -speed, self.gear.wz)
+        # the hub lies on the axis of the spin that it adds
+        slide = axes.to_track.T @ self.gear.v + ca.cross(spin, at_contact)
+        rolling_speed = ca.sqrt(self.gear.vx**2 + par.contact.rest_speed**2)
+        return [ca.dot(slide, axes.tangent), ca.dot(slide, axes.lateral), ca.dot(spin, axes.normal), rolling_speed]
+
+    def _act(self, at_normal: ca.SX, at_contact: ca.SX, axes: _Axes) -> None:
+        """Set force and moment on wheel and carrier and the power lost to creep. The normal force acts at `at_normal`,
+        the creep force at `at_contact` (m)."""
+        creep_force = axes.tangent * self.tangential[0] + axes.lateral * self.tangential[1]
+        normal_force = -axes.normal * self.normal
         given = ca.vertcat(*self.tangential, self.spin_moment)
         self.friction_loss = -ca.dot(given, ca.vertcat(*self.sliding, self.turn))
         # Of this moment about the gear's centre of gravity the bearings pass the y component to the wheel alone.
-        moment = ca.cross(at_contact, creep_force) + ca.cross(at_normal, normal_force) + normal * self.spin_moment
-        self.force, self.moment = upright @ (creep_force + normal_force), to_body @ moment
+        moment = ca.cross(at_contact, creep_force) + ca.cross(at_normal, normal_force) + axes.normal * self.spin_moment
+        self.force, self.moment = axes.to_track @ (creep_force + normal_force), axes.to_carrier @ moment
 
     def _forces(self, motion: list[ca.SX], cell: dict[str, ca.SX], poor: ca.SX, par: Any) -> list[ca.SX]:
         """Normal force (Hertz, with damping), spin moment and both creep forces from the motion of the contact. Source:

@@ -2,8 +2,8 @@
 
 The key of the cache is the source text, the compiler with its version and flags, and the architecture. Processes that
 need the same object wait for the one that compiles it. By default 256-bit registers are used where the processor has
-them, and products and sums are not fused, so that all processors round alike. Very long sources are optimised less.
-`RAILREPRO_CFLAGS` replaces these flags, for example by "-O0 -g". The source stays beside its object.
+them, and products and sums are not fused, so that all processors round alike. `RAILREPRO_CFLAGS` replaces these flags,
+for example by "-O0 -g". The source stays beside its object.
 
 An object is loaded only with its seal, a hash of its name and content that needs a secret key of the user. One that is
 damaged, or that another user or an archive brought, is compiled again.
@@ -20,17 +20,16 @@ import shutil
 import stat
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import suppress
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 from railrepro import paths
 from railrepro.data import InputError, alone, write
 from railrepro.numerics import has_avx2
 
-_LONG = 1_500_000
-"""Length from which a source counts as long: cars with frames, and units, which hold their tables."""
 _SLOW = 200_000
 """Length from which the compiler takes seconds: cars and predictive controllers."""
 _ALWAYS = ("-fPIC", "-shared", "-fno-math-errno", "-w")
@@ -82,16 +81,11 @@ def _call(command: str) -> list[str]:
     return ["env", *environment, sys.executable, "-m", PACKAGED, "cc", *portable]
 
 
-def flags(portable: bool = False, length: int = 0) -> tuple[str, ...]:
+def flags(portable: bool = False) -> tuple[str, ...]:
     """Compiler flags as a tuple of str: those in `RAILREPRO_CFLAGS` or a default, then flags that are always given.
-
-    Args:
-        portable (bool): Whether the default leaves out AVX2, for code that runs on any processor.
-        length (int): Length of the source (characters). From 1.5 million on the default is -Og in place of -O2.
-    """
+    With `portable` the default leaves out AVX2, for code that runs on any processor."""
     wide = " -mavx2" if has_avx2() and not portable else ""
-    default = f"{'-O2' if length < _LONG else '-Og'} -ffp-contract=off{wide}"
-    return (*os.environ.get("RAILREPRO_CFLAGS", default).split(), *_ALWAYS)
+    return (*os.environ.get("RAILREPRO_CFLAGS", f"-O2 -ffp-contract=off{wide}").split(), *_ALWAYS)
 
 
 @lru_cache
@@ -185,7 +179,7 @@ def build(text: str, portable: bool = False, webassembly: bool = False) -> Path:
     if webassembly and not found(PACKAGED):
         raise CompilerError("modules of WebAssembly need `pip install railrepro[compiler]`")
     command = PACKAGED if webassembly else compiler()
-    options = WEBASSEMBLY if webassembly else flags(portable, len(text))
+    options = WEBASSEMBLY if webassembly else flags(portable)
     key = hashlib.sha256((text + "\0" + identity(command, options)).encode()).hexdigest()[:24]
     target = cache_folder() / f"{key}.so"
     lock = target.with_suffix(".lock")
@@ -197,10 +191,26 @@ def build(text: str, portable: bool = False, webassembly: bool = False) -> Path:
     return target
 
 
+def build_ahead(text: str) -> None:
+    """Start to compile a C source text in a thread, while this process goes on. `build` waits for the object, or tries
+    again and raises what went wrong."""
+
+    def attempt() -> None:
+        with suppress(InputError):
+            build(text)
+
+    threading.Thread(target=attempt).start()
+
+
+@cache
+def _announce() -> None:
+    print("compiling for this machine, once; it takes up to half a minute", file=sys.stderr, flush=True)
+
+
 def _compile(command: list[str], text: str, target: Path) -> None:
     """Compile the source, which stays beside its object, and put the object in place in one step."""
     if len(text) > _SLOW:
-        print("compiling for this machine, once; it takes up to half a minute", file=sys.stderr, flush=True)
+        _announce()
     source, output = target.with_suffix(".c"), target.with_suffix(".part")
     write(source, text)
     call = [*command, str(source), "-o", str(output), "-lm"]

@@ -165,7 +165,7 @@ def adhesion_maximum(adhesion, speed: float, load: float, a: float, b: float, co
         tuple of float: Largest creep force over normal force (-); longitudinal creepage at which it occurs (-).
     """
     slip = np.geomspace(1e-5, 0.5, 20_000)
-    law = astuple(adhesion)
-    force, *_ = polach(-slip, 0.0, 0.0, load, a, b, *coefficients, shear_modulus, *law, slip * speed)
+    law = *coefficients, shear_modulus, *astuple(adhesion), slip * speed
+    force, *_ = polach(-slip, 0.0, 0.0, load, a, b, *law)
     best = int(np.argmax(force))
     return float(force[best] / load), float(slip[best])

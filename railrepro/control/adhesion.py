@@ -9,30 +9,39 @@ Adhesion Control.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import casadi as ca
 
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.data import between, check_fields
-from railrepro.quantities import SIDES, group, listed
+from railrepro.quantities import SIDES, Scalar
 
 _STEP = Annotated[float, between(0.0, 1e9, "N m per ms")]
 SLOWEST = 1.0
 """Speed (m/s) below which the dead zone grows no more as the speed falls."""
 
 
-AdhesionInputs = group(
-    "AdhesionInputs",
-    {"f": listed(SIDES), "s": listed(SIDES)},
-    "f_star -, v m/s, u N m, nominal_load N, tau_max N m, r_0 m",
-)
-"""Inputs of the law for one gear: adhesion f (traction-positive) and slip s = (v - w r)/v of [left, right] wheel (-),
-adhesion set point f_star (traction-positive), speed, base torque u of the cycle before, load, torque limit, radius."""
+@dataclass(frozen=True)
+class AdhesionInputs:
+    """Inputs of the adhesion law for one running gear; lists are [left, right] wheel."""
+
+    f: Annotated[list[Scalar], SIDES, "adhesion (-), traction-positive"]
+    s: Annotated[list[Scalar], SIDES, "slip (v - w r)/v (-)"]
+    f_star: Annotated[Scalar, "-", "set point of the adhesion, traction-positive"]
+    v: Annotated[Scalar, "m/s", "speed"]
+    u: Annotated[Scalar, "N m", "base torque of the cycle before"]
+    nominal_load: Annotated[Scalar, "N", "load of a wheel at rest"]
+    tau_max: Annotated[Scalar, "N m", "torque limit"]
+    r_0: Annotated[Scalar, "m", "wheel radius"]
 
 
-AdhesionMemory = group("AdhesionMemory", {"f": listed(SIDES), "s": listed(SIDES)})
-"""States of the law for one gear: low-pass filtered adhesion f and slip s (-), each a list of [left, right] wheel."""
+@dataclass(frozen=True)
+class AdhesionMemory:
+    """States of the adhesion law for one running gear; lists are [left, right] wheel."""
+
+    f: Annotated[list[Scalar], SIDES, "low-pass filtered adhesion (-)"]
+    s: Annotated[list[Scalar], SIDES, "low-pass filtered slip (-)"]
 
 
 @dataclass(frozen=True)
@@ -59,7 +68,7 @@ class AdhesionSettings:
     def __post_init__(self) -> None:
         check_fields(self)
 
-    def base_torque(self, q: Any, memory: Any) -> tuple:
+    def base_torque(self, q: AdhesionInputs, memory: AdhesionMemory) -> tuple:
         """One cycle (1 ms) of the adhesion law for one running gear. Arguments are numbers or CasADi expressions.
 
         Adhesion and slip are turned to be positive in the direction of the demand. With the sign of s that the paper

@@ -40,7 +40,7 @@ def c_text(signature: law.LawSignature, parameters: int, planners: str = SLOTS) 
     places: dict[str, int | str] = {"GEAR_MEASURED": measured.rear.p - measured.front.p, "BASE": memory.front.u}
     places |= {"GEAR_MEMORY": memory.rear.u - memory.front.u, "N_READINGS": len(read), "ESTIMATED": 0, "READ": 0}
     places |= {"READ_OF_STATE": "{" + ", ".join(str(STATES.index(name)) for name in read) + "}"}
-    if signature.sensed:
+    if isinstance(memory.front, law.SensedGearMemory):
         places |= {"ESTIMATED": memory.front.estimated.x, "READ": memory.front.read.y_TrAx}
     return codegen.defines(_sizes(signature, parameters) | places) + planners + _SOURCE
 

@@ -2,28 +2,94 @@
 
 from __future__ import annotations
 
-from railrepro.car.outputs import GearStates
-from railrepro.control import lateral
-from railrepro.model.control_model import STATE_UNITS
-from railrepro.quantities import WHEELS, group, names
+from dataclasses import dataclass
+from typing import Annotated
 
-MeasuredWheel = group("MeasuredWheel", "adhesion -, sx -, w rad/s")
-Measured = group("Measured", {"front": GearStates, "rear": GearStates}, dict.fromkeys(WHEELS, MeasuredWheel))
-"""Outputs of the car that the law measures: states of both gears; adhesion, slip and angular speed of the wheels."""
-GearMargin = group("GearMargin", "lateral m, torque -")
-Margins = group("Margins", {"front": GearMargin, "rear": GearMargin}, "track_end m, stop_speed m/s")
-"""Distances to the limits of a run, which goes on while all are positive: displacements, end of the track, speed.
-`torque` is 1, or 0 where the lateral law gives no finite number, which the torque limit would hide."""
-Limits = group("Limits", "lateral m, track_end m, stop_speed m/s")
-"""Where a run ends: largest displacement of a gear, largest track coordinate and lowest speed of the front gear."""
-ReadGear = group("ReadGear", "y_TrAx m, psi_TrAx rad, psidot_Ax rad/s")
-"""Displacement (m), yaw angle against the track (rad) and yaw rate (rad/s) of a gear as its sensors read them."""
-Record = group("Record", "u_d N m, du N m, tau_long N m, f_star -, segment -, y_ref m")
-"""Log of one gear: base, differential and longitudinal torque, adhesion set point, segment 1 to 3 of the adhesion law,
-and the lateral set point at the true position of the gear, from which errors are counted."""
-EstimatedRecord = group("EstimatedRecord", STATE_UNITS, "f_le -, f_ri -, s_le -, s_ri -, y_ref m")
-"""Further log of one gear with sensors: estimated states, adhesion and slip; set point at the estimated position."""
-Model = group("Model", {name: unit for name, (unit, _) in lateral.MODEL.items() if name != "tau_max"})
-"""Numbers of the nominal vehicle: fields and units of `lateral.MODEL` but `tau_max`, which is the drive's."""
-Track = group("Track", {name: unit for name, (unit, _) in lateral.ROAD.items()})
+from railrepro.car.outputs import GearStates
+from railrepro.model.control_model import States
+from railrepro.quantities import Scalar, names
+
+
+@dataclass(frozen=True)
+class MeasuredWheel:
+    """What the law measures of a wheel, see `car.outputs.WheelOutputs`."""
+
+    adhesion: Annotated[Scalar, "-"]
+    sx: Annotated[Scalar, "-", "slip"]
+    w: Annotated[Scalar, "rad/s", "angular speed"]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Outputs of the car that the law measures."""
+
+    front: GearStates
+    rear: GearStates
+    front_le: MeasuredWheel
+    front_ri: MeasuredWheel
+    rear_le: MeasuredWheel
+    rear_ri: MeasuredWheel
+
+
+@dataclass(frozen=True)
+class GearMargin:
+    """Distances of a running gear to the limits of a run."""
+
+    lateral: Annotated[Scalar, "m", "to the largest lateral displacement"]
+    torque: Annotated[
+        Scalar, "-", "0 where the lateral law gives no finite number, which the torque limit would hide; else 1"
+    ]
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Distances to the limits of a run, which goes on while all are positive."""
+
+    front: GearMargin
+    rear: GearMargin
+    track_end: Annotated[Scalar, "m", "of the front running gear to the end of the track"]
+    stop_speed: Annotated[Scalar, "m/s", "speed above the one at which a run ends"]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Where a run ends."""
+
+    lateral: Annotated[Scalar, "m", "largest lateral displacement of a running gear"]
+    track_end: Annotated[Scalar, "m", "largest track coordinate of the front running gear"]
+    stop_speed: Annotated[Scalar, "m/s", "lowest speed of the front running gear"]
+
+
+@dataclass(frozen=True)
+class ReadGear:
+    """States of a running gear as its sensors read them."""
+
+    y_TrAx: Annotated[Scalar, "m", "lateral displacement"]
+    psi_TrAx: Annotated[Scalar, "rad", "yaw angle against the track"]
+    psidot_Ax: Annotated[Scalar, "rad/s", "yaw rate"]
+
+
+@dataclass(frozen=True)
+class Record:
+    """Log of one running gear."""
+
+    u_d: Annotated[Scalar, "N m", "base torque"]
+    du: Annotated[Scalar, "N m", "differential torque"]
+    tau_long: Annotated[Scalar, "N m", "longitudinal torque"]
+    f_star: Annotated[Scalar, "-", "set point of the adhesion"]
+    segment: Annotated[Scalar, "-", "segment of the adhesion law, 1 to 3"]
+    y_ref: Annotated[Scalar, "m", "lateral set point at the true position, from which errors are counted"]
+
+
+@dataclass(frozen=True)
+class EstimatedRecord(States):
+    """Further log of one running gear with sensors: what its controllers get."""
+
+    f_le: Annotated[Scalar, "-", "adhesion of the left wheel"]
+    f_ri: Annotated[Scalar, "-", "adhesion of the right wheel"]
+    s_le: Annotated[Scalar, "-", "slip of the left wheel"]
+    s_ri: Annotated[Scalar, "-", "slip of the right wheel"]
+    y_ref: Annotated[Scalar, "m", "lateral set point at the estimated position"]
+
+
 MEASURED, MARGINS = names(Measured), names(Margins)

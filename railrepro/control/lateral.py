@@ -7,60 +7,86 @@ torque of a slower controller such as NMPC. Serves the paper's Fig. 4.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 import casadi as ca
 import numpy as np
 
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.data import InputError, above, between, is_number, require
-from railrepro.quantities import GEARS
+from railrepro.quantities import GEARS, Scalar, names
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle
 
-GEAR = {
-    "x": ("m", "coordinate along the track"),
-    "psi_Ax": ("rad", "heading of the running gear"),
-    "v": ("m/s", "speed"),
-    "yaw_rate": ("rad/s", "yaw rate of the running gear"),
-    "y": ("m", "lateral displacement from the track, to the right"),
-    "psi": ("rad", "yaw angle against the track, to the right"),
-    "xddot": ("m/s2", "acceleration by the base torque"),
-    "held": ("N m", "torque that a slower controller gave last"),
-}
-"""Inputs of a 1 kHz law about its running gear, first the states of the control model: unit and meaning by name."""
-ROAD = {
-    "psi_Tr": ("rad", "heading of the track"),
-    "dpsi_dp": ("1/m", "curvature of the track"),
-    "phi_Tr": ("rad", "superelevation angle"),
-    "dphi_dp": ("rad/m", "its derivative along the track"),
-    "eps_Tr": ("rad", "gradient"),
-    "deps_dp": ("rad/m", "its derivative along the track"),
-    "psi_CB": ("rad", "heading of the car body"),
-    "dpsi_dp_CB": ("1/m", "its derivative along the track"),
-    "ddpsi_dp": ("1/m2", "derivative of the curvature along the track"),
-    "y_ref": ("m", "set point of the lateral displacement"),
-    "dy_ref": ("-", "its first derivative along the track"),
-    "ddy_ref": ("1/m", "its second derivative"),
-    "dddy_ref": ("1/m2", "its third derivative"),
-}
-"""Inputs of a 1 kHz law about track and set point at the position of the gear: unit and meaning by name."""
-MODEL = {
-    "J_eff": ("kg m2", "effective yaw inertia of a running gear"),
-    "k_sz": ("N m/rad", "yaw stiffness of the suspension"),
-    "k_dz": ("N m s/rad", "yaw damping of the suspension"),
-    "J_Wy": ("kg m2", "spin inertia of a wheel"),
-    "r_0": ("m", "wheel radius"),
-    "b": ("m", "distance of the contact points"),
-    "gamma": ("rad/m", "roll angle per lateral displacement"),
-    "tan_delta": ("-", "slope of the wheel's cone"),
-    "m_x_eff": ("kg", "effective longitudinal mass"),
-    "tau_max": ("N m", "torque limit"),
-}
-"""Inputs of a 1 kHz law about the nominal vehicle: unit and meaning by name."""
+
+@dataclass(frozen=True)
+class GearInputs:
+    """Inputs of a 1 kHz law about its running gear, first the states of the control model."""
+
+    x: Annotated[Scalar, "m", "coordinate along the track"]
+    psi_Ax: Annotated[Scalar, "rad", "heading of the running gear"]
+    v: Annotated[Scalar, "m/s", "speed"]
+    yaw_rate: Annotated[Scalar, "rad/s", "yaw rate of the running gear"]
+    y: Annotated[Scalar, "m", "lateral displacement from the track, to the right"]
+    psi: Annotated[Scalar, "rad", "yaw angle against the track, to the right"]
+    xddot: Annotated[Scalar, "m/s2", "acceleration by the base torque"]
+    held: Annotated[Scalar, "N m", "torque that a slower controller gave last"]
+
+
+@dataclass(frozen=True)
+class TrackInputs:
+    """Inputs of a 1 kHz law about track and set point at the position of the running gear."""
+
+    psi_Tr: Annotated[Scalar, "rad", "heading of the track"]
+    dpsi_dp: Annotated[Scalar, "1/m", "curvature of the track"]
+    phi_Tr: Annotated[Scalar, "rad", "superelevation angle"]
+    dphi_dp: Annotated[Scalar, "rad/m", "its derivative along the track"]
+    eps_Tr: Annotated[Scalar, "rad", "gradient"]
+    deps_dp: Annotated[Scalar, "rad/m", "its derivative along the track"]
+    psi_CB: Annotated[Scalar, "rad", "heading of the car body"]
+    dpsi_dp_CB: Annotated[Scalar, "1/m", "its derivative along the track"]
+    ddpsi_dp: Annotated[Scalar, "1/m2", "derivative of the curvature along the track"]
+    y_ref: Annotated[Scalar, "m", "set point of the lateral displacement"]
+    dy_ref: Annotated[Scalar, "-", "its first derivative along the track"]
+    ddy_ref: Annotated[Scalar, "1/m", "its second derivative"]
+    dddy_ref: Annotated[Scalar, "1/m2", "its third derivative"]
+
+
+@dataclass(frozen=True)
+class ModelInputs:
+    """Inputs of a 1 kHz law about the nominal vehicle."""
+
+    J_eff: Annotated[Scalar, "kg m2", "effective yaw inertia of a running gear"]
+    k_sz: Annotated[Scalar, "N m/rad", "yaw stiffness of the suspension"]
+    k_dz: Annotated[Scalar, "N m s/rad", "yaw damping of the suspension"]
+    J_Wy: Annotated[Scalar, "kg m2", "spin inertia of a wheel"]
+    r_0: Annotated[Scalar, "m", "wheel radius"]
+    b: Annotated[Scalar, "m", "distance of the contact points"]
+    gamma: Annotated[Scalar, "rad/m", "roll angle per lateral displacement"]
+    tan_delta: Annotated[Scalar, "-", "slope of the wheel's cone"]
+    m_x_eff: Annotated[Scalar, "kg", "effective longitudinal mass"]
+
+
+GEAR, ROAD, MODEL = names(GearInputs), names(TrackInputs), (*names(ModelInputs), "tau_max")
+"""Names of what every 1 kHz law may use, about its running gear, about track and set point, about the vehicle."""
+
+
+class Quantities(GearInputs, TrackInputs, ModelInputs):
+    """Argument `q` of `LateralLaw.torque`: scalar CasADi symbols (SI). Besides the attributes below there is one for
+    each state in the law's `memory` and for each of its gains."""
+
+    tau_max: Annotated[Scalar, "N m", "torque limit"]
+
+    def __init__(self, known: Mapping[str, ca.SX]):
+        vars(self).update(known)
+
+    def __repr__(self) -> str:
+        return f"Quantities({', '.join(vars(self))})"
+
+    def __getattr__(self, name: str) -> ca.SX:
+        raise AttributeError(f"torque() asks for q.{name}; there are {list(vars(self))}", name=name, obj=self)
 
 
 class LateralLaw(Protocol):
@@ -71,11 +97,10 @@ class LateralLaw(Protocol):
     start at 0. `gains()` returns a dict from name to value of numbers that can change without compiling again.
     """
 
-    def torque(self, q: SimpleNamespace) -> ca.SX | tuple[ca.SX, dict[str, ca.SX]]:
+    def torque(self, q: Quantities) -> ca.SX | tuple[ca.SX, dict[str, ca.SX]]:
         """Differential torque (N m, positive steers to the right), as a CasADi expression.
 
-        A law with `memory` returns a pair: the torque, and a dict from the name of a state to its next value. `q` has
-        one attribute for each name in `GEAR`, `ROAD`, `MODEL`, `memory` and the gains: a scalar CasADi symbol (SI).
+        A law with `memory` returns a pair: the torque, and a dict from the name of a state to its next value.
         """
 
 
@@ -116,7 +141,7 @@ Guidance = LateralLaw | Factory
 class ZeroOrderHold:
     """1 kHz law that holds the last differential torque of a slower controller."""
 
-    def torque(self, q: SimpleNamespace) -> ca.SX:
+    def torque(self, q: Quantities) -> ca.SX:
         """The last differential torque of the slower controller, `q.held` (N m); `q` as in `LateralLaw.torque`."""
         return q.held
 
@@ -199,14 +224,14 @@ def signature(law: LateralLaw) -> Signature:
     """
     owner, memory, gains = _owner(law), tuple(getattr(law, "memory", ())), tuple(gains_of(law))
     groups = {"gear": GEAR, "track": ROAD, "memory": memory, "gains": gains, "model": MODEL}
-    vectors = {group: ca.SX.sym(group, len(names)) for group, names in groups.items()}
+    vectors = {group: ca.SX.sym(group, len(entries)) for group, entries in groups.items()}
     known: dict[str, ca.SX] = {}
-    for group, names in groups.items():
-        for name, symbol in zip(names, ca.vertsplit(vectors[group]), strict=True):
+    for group, entries in groups.items():
+        for name, symbol in zip(entries, ca.vertsplit(vectors[group]), strict=True):
             if name in known:
                 raise InputError(f"{owner}: {name!r} of its {group} is the name of another quantity already")
             known[name] = symbol
-    du, following = answer(law, SimpleNamespace(**known))
+    du, following = answer(law, Quantities(known))
     if set(following) != set(memory):
         raise InputError(f"{owner}: torque() gave memory {sorted(following)}, declared is {list(memory)}")
     states = [_scalar(following[name], f"memory {name!r}", owner) for name in memory]
@@ -221,7 +246,7 @@ def _owner(law: LateralLaw) -> str:
     return f"lateral law {type(law).__name__}"
 
 
-def answer(law: LateralLaw, q: SimpleNamespace) -> tuple[ca.SX, dict[str, ca.SX]]:
+def answer(law: LateralLaw, q: Quantities) -> tuple[ca.SX, dict[str, ca.SX]]:
     """Call `law.torque(q)`; returns a pair: differential torque (N m), dict from state to next value (empty without
     memory). InputError if the law asks for an attribute that `q` lacks, uses `if`, `min` or `max` on expressions, or
     returns something else."""
@@ -230,7 +255,7 @@ def answer(law: LateralLaw, q: SimpleNamespace) -> tuple[ca.SX, dict[str, ca.SX]
     except AttributeError as error:
         if error.obj is not q:
             raise
-        refusal = InputError(f"{_owner(law)}: torque() asks for q.{error.name}; there are {list(vars(q))}")
+        refusal = InputError(f"{_owner(law)}: {error}")
         raise refusal.with_traceback(error.__traceback__) from None  # it shows the line that asked
     except RuntimeError as error:
         if "truth value" not in str(error):  # what CasADi says of `if` and `max` on expressions

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from types import SimpleNamespace
 from typing import Annotated, Any
 
 import casadi as ca
@@ -20,16 +19,83 @@ from railrepro.compile import codegen
 from railrepro.control import interface, lateral
 from railrepro.control.adhesion import AdhesionInputs, AdhesionMemory, AdhesionSettings
 from railrepro.control.allocation import allocate
+from railrepro.control.lateral import ModelInputs, TrackInputs
 from railrepro.data import between, require
 from railrepro.estimation import observers
 from railrepro.estimation.sensors import Readings, SensorGains, SensorMemory, Signals, received_torque, sense
 from railrepro.model.control_model import States
-from railrepro.quantities import GEARS, WHEELS, group, listed, named, names, pack, symbols, unpack
+from railrepro.quantities import GEARS, WHEELS, Scalar, named, names, pack, reannotated, symbols, unpack
 from railrepro.track.route import COLUMNS, irregularity_in, reference_in, track_in
 from railrepro.vehicle.parameters import Drive, Vehicle
 
 GUIDANCE_FADE = 1.0
 """Speed (m/s) below which the differential torque fades in proportion to the speed, to 0 at standstill."""
+
+
+@dataclass(frozen=True)
+class LawGains:
+    """Run-time numbers of the law (SI). `LawSignature.Gains` knows the gains of its lateral law by name."""
+
+    lateral: Annotated[list[Scalar], ()]
+    adhesion: AdhesionSettings
+    fixed_share: Annotated[Scalar, "-", "share of the torque limit reserved for the differential torque"]
+    nominal_load: Annotated[Scalar, "N", "load of a wheel at rest"]
+    model: ModelInputs
+    drive: Drive
+    limit: interface.Limits
+
+
+@dataclass(frozen=True)
+class SensedGains(LawGains):
+    """`LawGains` with sensors."""
+
+    front: SensorGains
+    rear: SensorGains
+    filter: observers.FilterGains
+
+
+@dataclass(frozen=True)
+class GearMemory:
+    """States of the law of one running gear. `LawSignature.Memory` knows the states of its lateral law by name."""
+
+    u: Annotated[Scalar, "N m", "base torque"]
+    adhesion: AdhesionMemory
+    lateral: Annotated[list[Scalar], ()]
+
+
+@dataclass(frozen=True)
+class SensedGearMemory(GearMemory):
+    """`GearMemory` with sensors: also delay lines, states of the filter, last estimated states and last readings."""
+
+    sensor: SensorMemory
+    filter: observers.FilterState
+    estimated: States
+    read: interface.ReadGear
+
+
+@dataclass(frozen=True)
+class LawMemory:
+    """States of the law."""
+
+    ticks: Annotated[Scalar, "ms", "control cycles since the start"]
+    front: GearMemory
+    rear: GearMemory
+
+
+@dataclass(frozen=True)
+class LawRecords:
+    """What is logged in one control cycle."""
+
+    front: interface.Record
+    rear: interface.Record
+
+
+@dataclass(frozen=True)
+class SensedRecords(LawRecords):
+    """`LawRecords` with sensors: also what the controllers get."""
+
+    front_estimated: Annotated[interface.EstimatedRecord, "front.estimated"]
+    rear_estimated: Annotated[interface.EstimatedRecord, "rear.estimated"]
 
 
 @dataclass(frozen=True)
@@ -41,43 +107,24 @@ class LawSignature:
     """Whether sensors and filter stand between the car and the controllers."""
 
     @cached_property
-    def Gains(self) -> Any:
-        """Dataclass type that names all run-time numbers of the law (SI).
-
-        Fields: `lateral`, `adhesion`, gains of the two laws; `fixed_share` (-), see `allocate`; `nominal_load` of a
-        wheel (N); `model`, `drive`, parameters of the vehicle; `limit`, displacement, coordinate and speed at which a
-        run ends. A law that reads sensors also has `front` and `rear`, the errors of each gear's sensors, and `filter`,
-        the gains of the state estimation.
-        """
-        laws = {"lateral": listed(self.lateral.gains), "adhesion": AdhesionSettings}
-        car = {"model": interface.Model, "drive": Drive, "limit": interface.Limits}
-        sensed = {"front": SensorGains, "rear": SensorGains, "filter": observers.FilterGains} if self.sensed else {}
-        return group("Gains", laws, "fixed_share -, nominal_load N", car, sensed)
+    def Gains(self) -> type[LawGains]:
+        """`LawGains`, or `SensedGains` with sensors, whose entries of `lateral` have the names of the lateral law's
+        gains."""
+        kind = SensedGains if self.sensed else LawGains
+        return reannotated(kind, lateral=Annotated[list[Scalar], self.lateral.gains])
 
     @cached_property
-    def Memory(self) -> Any:
-        """Dataclass type of the states of the law.
+    def Memory(self) -> type[LawMemory]:
+        """`LawMemory`. Its fields `front` and `rear` are `GearMemory`, or `SensedGearMemory` with sensors, whose
+        entries of `lateral` have the names of the lateral law's states."""
+        kind = SensedGearMemory if self.sensed else GearMemory
+        gear = reannotated(kind, lateral=Annotated[list[Scalar], self.lateral.memory])
+        return reannotated(LawMemory, front=gear, rear=gear)
 
-        Its fields are `ticks` (cycles since the start), `front` and `rear`. Each gear has base torque `u` (N m),
-        `adhesion` and `lateral` (states of both laws). With sensors it also has `sensor` (delay lines), `filter`
-        (filter states), `estimated` and `read` (last estimated states and readings).
-        """
-        laws = {"adhesion": AdhesionMemory, "lateral": listed(self.lateral.memory)}
-        sensed = {
-            "sensor": SensorMemory,
-            "filter": observers.FilterState,
-            "estimated": States,
-            "read": interface.ReadGear,
-        }
-        gear = group("GearMemory", "u N m", laws, sensed if self.sensed else {})
-        return group("Memory", "ticks ms", dict.fromkeys(GEARS, gear))
-
-    @cached_property
-    def Records(self) -> Any:
-        """Dataclass type of what is logged in one control cycle. Its fields `front` and `rear` are `interface.Record`.
-        With sensors `front_estimated` and `rear_estimated` are `interface.EstimatedRecord`."""
-        shown = {f"{gear}_estimated": Annotated[interface.EstimatedRecord, f"{gear}.estimated"] for gear in GEARS}
-        return group("Records", dict.fromkeys(GEARS, interface.Record), shown if self.sensed else {})
+    @property
+    def Records(self) -> type[LawRecords]:
+        """`LawRecords`, or `SensedRecords` with sensors."""
+        return SensedRecords if self.sensed else LawRecords
 
     @property
     def memory(self) -> tuple[str, ...]:
@@ -136,7 +183,7 @@ def control_law(
     require("adhesion", adhesion, AdhesionSettings)
     law = guidance or lateral.ZeroOrderHold()
     signature = _shared(lateral.signature(law), sensors is not None)
-    gains = {
+    gains: dict[str, Any] = {
         "lateral": list(lateral.gains_of(law).values()),
         "adhesion": adhesion,
         "fixed_share": fixed_share,
@@ -157,9 +204,8 @@ def _shared(of_lateral: lateral.Signature, sensed: bool) -> LawSignature:
     return LawSignature(of_lateral, sensed)
 
 
-def _model(vehicle: Vehicle) -> Any:
-    """Numbers of `interface.Model`."""
-    return interface.Model(
+def _model(vehicle: Vehicle) -> ModelInputs:
+    return ModelInputs(
         J_eff=vehicle.effective_yaw_inertia,
         k_sz=vehicle.suspension.yaw_stiffness,
         k_dz=vehicle.suspension.yaw_damping,
@@ -169,27 +215,6 @@ def _model(vehicle: Vehicle) -> Any:
         gamma=vehicle.gamma,
         tan_delta=np.tan(vehicle.wheel.cone_angle),
         m_x_eff=vehicle.effective_longitudinal_mass,
-    )
-
-
-def _gear(g: int, sensed: bool, measured: Any, cell: dict[str, ca.SX], gain: Any, memory: Any) -> SimpleNamespace:
-    """Quantities of gear `g` (0 front, 1 rear): `truth`, `wheels`, `memory`, `cell`, `position` (m) for its
-    controllers, which with sensors is predicted to the time when a torque acts; with sensors also `sensor`, `readings`,
-    `lines`, `ticks`."""
-    truth = States(*pack(getattr(measured, GEARS[g])))
-    left, right = wheels = [getattr(measured, wheel) for wheel in WHEELS[2 * g : 2 * g + 2]]
-    of_gear = {"truth": truth, "wheels": wheels, "memory": getattr(memory, GEARS[g]), "cell": cell, "gain": gain}
-    if not sensed:
-        return SimpleNamespace(**of_gear, position=truth.x)
-    sensor = getattr(gain, GEARS[g])
-    rail, rail_yaw = irregularity_in(cell, "lateral", truth.x)
-    offset = truth.y_TrAx - rail
-    lever = sensor.base / 2 * (truth.psi_TrAx - rail_yaw)
-    exact = Signals(offset + lever, offset - lever, truth.psidot_Ax, left.w, right.w, truth.xdot, truth.x)
-    readings, lines = sense(exact, memory.ticks, g, sensor, of_gear["memory"].sensor)
-    position = readings.p + CONTROL_PERIOD * sensor.command * readings.v
-    return SimpleNamespace(
-        **of_gear, position=position, sensor=sensor, readings=readings, lines=lines, ticks=memory.ticks
     )
 
 
@@ -211,18 +236,15 @@ def function(signature: LawSignature) -> ca.Function:
     gains, gain = symbols(signature.Gains, "gains")
     old, memory = symbols(signature.Memory, "memory")
     rows, held = ca.SX.sym("rows", len(COLUMNS), len(GEARS)), ca.SX.sym("held", len(GEARS))
-    cells = [named(COLUMNS, rows[:, g]) for g in range(len(GEARS))]
-    gears = [_gear(g, signature.sensed, measured, cell, gain, memory) for g, cell in enumerate(cells)]
+    gears = [_gear(g, measured, rows[:, g], gain, memory) for g in range(len(GEARS))]
+    lateral_law = ca.Function.deserialize(signature.lateral.text)
     given = zip(gears, _tracks(gears), ca.vertsplit(held), strict=True)
-    results = [_cycle(signature, *of_gear) for of_gear in given]
-    command = [torque for of_gear in results for torque in of_gear.torques]
-    following = signature.Memory(memory.ticks + 1, *(of_gear.memory for of_gear in results))
-    estimated = [of_gear.estimated for of_gear in results if signature.sensed]
-    record = signature.Records(*(of_gear.record for of_gear in results), *estimated)
+    torques, memories, records, estimated, distances = zip(*(_cycle(lateral_law, *one) for one in given), strict=True)
+    command, following = [*torques[0], *torques[1]], signature.Memory(memory.ticks + 1, *memories)
+    record = signature.Records(*records, *(estimated if signature.sensed else ()))
     truth, limit = gears[0].truth, gain.limit
-    margins = interface.Margins(
-        *(of_gear.margin for of_gear in results), limit.track_end - truth.x, truth.xdot - limit.stop_speed
-    )
+    ends = limit.track_end - truth.x, truth.xdot - limit.stop_speed
+    margins = interface.Margins(distances[0], distances[1], *ends)
     outputs = {"command": command, "memory_next": pack(following), "record": pack(record), "margins": pack(margins)}
     return ca.Function(
         "control_law",
@@ -234,31 +256,96 @@ def function(signature: LawSignature) -> ca.Function:
     )
 
 
-def _tracks(gears: list[SimpleNamespace]) -> list:
-    """Track and set point at both gears, see `lateral.ROAD`."""
+@dataclass(frozen=True)
+class _Sensing:
+    """Sensors of a running gear in one control cycle: their run-time numbers, states, readings, next delay lines of the
+    readings; control cycles since the start."""
+
+    gain: SensorGains
+    memory: SensedGearMemory
+    readings: Signals
+    lines: dict[str, list]
+    ticks: ca.SX
+
+    @property
+    def commands(self) -> list[list]:
+        """Torques sent to [left, right] wheel before this cycle (N m), newest first."""
+        return [line[:-1] for line in (self.memory.sensor.tau_le, self.memory.sensor.tau_ri)]
+
+
+@dataclass(frozen=True)
+class _Gear:
+    """A running gear in one control cycle, before the law acts: true states; left and right wheel; row of the route;
+    run-time numbers and states of the law; sensors, None without them."""
+
+    truth: States
+    wheels: list[interface.MeasuredWheel]
+    cell: dict[str, ca.SX]
+    gain: LawGains
+    memory: GearMemory
+    sensing: _Sensing | None
+
+    @property
+    def position(self) -> ca.SX:
+        """Track coordinate for the controllers (m): with sensors it is predicted to the time when a torque acts."""
+        if not self.sensing:
+            return self.truth.x
+        readings = self.sensing.readings
+        return readings.p + CONTROL_PERIOD * self.sensing.gain.command * readings.v
+
+
+def _gear(g: int, measured: interface.Measured, row: ca.SX, gain: LawGains, memory: LawMemory) -> _Gear:
+    """Running gear `g` (0 front, 1 rear) on its `row` of the route."""
+    truth, of_gear = States(*pack(getattr(measured, GEARS[g]))), (memory.front, memory.rear)[g]
+    wheels, cell = [getattr(measured, wheel) for wheel in WHEELS[2 * g : 2 * g + 2]], named(COLUMNS, row)
+    sensing = None
+    if isinstance(gain, SensedGains) and isinstance(of_gear, SensedGearMemory):
+        sensor = (gain.front, gain.rear)[g]
+        read = sense(_exact(truth, wheels, cell, sensor.base), memory.ticks, g, sensor, of_gear.sensor)
+        sensing = _Sensing(sensor, of_gear, *read, memory.ticks)
+    return _Gear(truth, wheels, cell, gain, of_gear, sensing)
+
+
+def _exact(truth: States, wheels: list[interface.MeasuredWheel], cell: dict[str, ca.SX], base: ca.SX) -> Signals:
+    """What perfect sensors read; `base` is the distance of the two planes of lateral sensors (m)."""
+    rail, rail_yaw = irregularity_in(cell, "lateral", truth.x)
+    offset = truth.y_TrAx - rail
+    lever = base / 2 * (truth.psi_TrAx - rail_yaw)
+    left, right = wheels
+    return Signals(offset + lever, offset - lever, truth.psidot_Ax, left.w, right.w, truth.xdot, truth.x)
+
+
+def _tracks(gears: list[_Gear]) -> list[TrackInputs]:
+    """Track and set point at both running gears."""
     tracks = [track_in(gear.cell, gear.position) for gear in gears]
     # heading and curvature at the car body are the mean of those at its gears
     body = [(front + rear) / 2 for front, rear in zip(*tracks, strict=True)][:2]
-    return [
-        interface.Track(
-            *track, *body, gear.cell["dkappa"], *reference_in(gear.cell, gear.position), gear.cell["dddy_ref"]
-        )
-        for gear, track in zip(gears, tracks, strict=True)
-    ]
+    found = []
+    for gear, track in zip(gears, tracks, strict=True):
+        cell, set_point = gear.cell, reference_in(gear.cell, gear.position)
+        found.append(unpack(TrackInputs, [*track, *body, cell["dkappa"], *set_point, cell["dddy_ref"]]))
+    return found
 
 
-def _cycle(signature: LawSignature, gear: SimpleNamespace, track: Any, held: ca.SX) -> SimpleNamespace:
-    """What a gear of `_gear` does at its track: `torques`, next `memory`, `record`, `estimated` (with sensors) and
-    `margin`."""
-    gain, model, old, estimated = gear.gain, gear.gain.model, gear.memory, None
-    state, f, s = gear.truth, [wheel.adhesion for wheel in gear.wheels], [wheel.sx for wheel in gear.wheels]
-    if signature.sensed:
-        sent = old.sensor.tau_le, old.sensor.tau_ri
-        past = [line[:-1] for line in sent]
-        found, filtered = observers.observe(gear.readings, past, track, gear.ticks, gear.sensor, gain, old.filter)
-        heading, f, s = track.psi_Tr + found.psi_TrAx, found.f, found.s
-        state = States(gear.position, heading, found.xdot, found.psidot_Ax, found.y_TrAx, found.psi_TrAx)
-        estimated = unpack(interface.EstimatedRecord, [*pack(state), *f, *s, track.y_ref])
+def _known(gear: _Gear, track: TrackInputs) -> tuple[States, list, list, Any]:
+    """What the controllers of a running gear get, true or estimated: states; adhesion and slip of [left, right] wheel.
+    Last, the `FilterState` of the estimation, None without sensors."""
+    if not (sensing := gear.sensing):
+        return gear.truth, [wheel.adhesion for wheel in gear.wheels], [wheel.sx for wheel in gear.wheels], None
+    found, filtered = observers.observe(
+        sensing.readings, sensing.commands, track, sensing.ticks, sensing.gain, gear.gain, sensing.memory.filter
+    )
+    heading = track.psi_Tr + found.psi_TrAx
+    state = States(gear.position, heading, found.xdot, found.psidot_Ax, found.y_TrAx, found.psi_TrAx)
+    return state, found.f, found.s, filtered
+
+
+def _cycle(lateral_law: ca.Function, gear: _Gear, track: TrackInputs, held: ca.SX) -> tuple:
+    """Adhesion law, lateral law and integration rule of a running gear. `held` is the last torque of a slower
+    controller (N m). Returns torques of [left, right] motor (N m), next `GearMemory`, `Record`, with sensors
+    `EstimatedRecord` else None, and `GearMargin`."""
+    gain, model, old = gear.gain, gear.gain.model, gear.memory
+    state, f, s, filtered = _known(gear, track)
     f_star = gear.cell["force"] / (2 * gain.nominal_load)
     tau_max = gain.drive.limit(state.xdot / model.r_0)
     inputs = AdhesionInputs(f, s, f_star, state.xdot, old.u, gain.nominal_load, tau_max, model.r_0)
@@ -266,21 +353,25 @@ def _cycle(signature: LawSignature, gear: SimpleNamespace, track: Any, held: ca.
 
     xddot = 2 * u_d / (model.r_0 * model.m_x_eff)
     groups = [*pack(state), xddot, held], pack(track), old.lateral, gain.lateral, [*pack(model), tau_max]
-    lateral_law = ca.Function.deserialize(signature.lateral.text)
     du, following = lateral_law(*(ca.vertcat(*entries) for entries in groups))
     y, y_ref = gear.truth.y_TrAx, reference_in(gear.cell, gear.truth.x)[0]  # at the true position
     margin = interface.GearMargin(gain.limit.lateral - ca.fabs(y), ca.fabs(du) < np.inf)
     du *= ca.fmin(ca.fmax(state.xdot / GUIDANCE_FADE, 0), 1)
     *torques, tau_long, du = allocate(u_d, du, tau_max, gain.fixed_share)
-    stored = {"u": u_d, "adhesion": adhesion, "lateral": ca.vertsplit(following)}
-    if signature.sensed:
-        lines = [[torque, *line] for torque, line in zip(torques, past, strict=True)]
-        torques = [received_torque(line, gear.sensor) for line in lines]
-        stored["sensor"] = SensorMemory(**gear.lines, tau_le=lines[0], tau_ri=lines[1])
-        stored["filter"] = observers.advance(filtered, lines, track, gear.sensor, gain)
-        ahead, behind = gear.readings.y_ahead, gear.readings.y_behind
-        read = (ahead + behind) / 2, (ahead - behind) / gear.sensor.base, gear.readings.psidot_Ax
-        stored |= {"estimated": state, "read": interface.ReadGear(*read)}
     record = interface.Record(u_d, du, tau_long, f_star, segment, y_ref)
-    kept = type(old)(**stored)
-    return SimpleNamespace(torques=torques, memory=kept, record=record, estimated=estimated, margin=margin)
+    memory = {"u": u_d, "adhesion": adhesion, "lateral": ca.vertsplit(following)}
+    if not (sensing := gear.sensing):
+        return torques, type(old)(**memory), record, None, margin
+    lines = [[torque, *line] for torque, line in zip(torques, sensing.commands, strict=True)]
+    memory["sensor"] = SensorMemory(**sensing.lines, tau_le=lines[0], tau_ri=lines[1])
+    memory["filter"] = observers.advance(filtered, lines, track, sensing.gain, gain)
+    memory |= {"estimated": state, "read": _read(sensing.readings, sensing.gain.base)}
+    estimated = unpack(interface.EstimatedRecord, [*pack(state), *f, *s, track.y_ref])
+    received = [received_torque(line, sensing.gain) for line in lines]
+    return received, type(old)(**memory), record, estimated, margin
+
+
+def _read(readings: Signals, base: ca.SX) -> interface.ReadGear:
+    """States from readings; `base` is as in `_exact`."""
+    ahead, behind = readings.y_ahead, readings.y_behind
+    return interface.ReadGear((ahead + behind) / 2, (ahead - behind) / base, readings.psidot_Ax)

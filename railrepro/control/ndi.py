@@ -9,12 +9,12 @@ Multi-Body Simulation Results (comparison after Grether 2018 and Heckmann 2020).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Annotated
 
 import casadi as ca
 
 from railrepro.clock import CONTROL_PERIOD
+from railrepro.control import lateral
 from railrepro.data import above, between, check_fields
 
 
@@ -56,7 +56,7 @@ class NDI:
             "ff": float(self.rates),
         }
 
-    def torque(self, q: SimpleNamespace) -> tuple[ca.SX, dict[str, ca.SX]]:
+    def torque(self, q: lateral.Quantities) -> tuple[ca.SX, dict[str, ca.SX]]:
         """Pair: differential torque (N m), not yet limited, and the dict {"integral": next integral of y* - y (m s)}.
         The integral keeps its value while |differential torque| reaches the torque limit `q.tau_max`. `q` is as in
         `lateral.LateralLaw.torque`."""
@@ -65,7 +65,7 @@ class NDI:
         return du, {"integral": q.integral + ca.if_else(free, CONTROL_PERIOD * (q.y_ref - q.y), 0)}
 
 
-def wanted_jerk(q: SimpleNamespace) -> ca.SX:
+def wanted_jerk(q: lateral.Quantities) -> ca.SX:
     """Third time derivative of y (m/s^3) that the gains of `NDI` ask for. `q` is as in `lateral.LateralLaw.torque`."""
     psidot_r = q.yaw_rate - q.v * q.dpsi_dp
     ydot = q.v * q.psi
@@ -82,7 +82,7 @@ def wanted_jerk(q: SimpleNamespace) -> ca.SX:
     )
 
 
-def inverse(jerk: ca.SX, q: SimpleNamespace) -> ca.SX:
+def inverse(jerk: ca.SX, q: lateral.Quantities) -> ca.SX:
     """Differential torque (N m) at which y has the third time derivative `jerk` (m/s^3).
 
     `q` is as in `lateral.LateralLaw.torque`. Two moments are left out: the yaw stiffness by gravity, 1 % of the yaw

@@ -18,18 +18,18 @@ Serves the measured states of the paper's eq. (18).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
 from railrepro.clock import CONTROL_PERIOD
-from railrepro.estimation.sensors import Loop, delayed
-from railrepro.quantities import SIDES, group, listed, pack, unpack
+from railrepro.estimation.sensors import Loop, SensorGains, Signals, delayed
+from railrepro.quantities import SIDES, Scalar, pack, unpack
 from railrepro.vehicle.parameters import Vehicle
 
 SPEEDS = (2.0, 5.0, 10.0, 20.0, 40.0, 70.0, 120.0)
@@ -40,20 +40,76 @@ LATERAL = ("y", "psi", "r", "bias", "beta")
 """States of the lateral filter: displacement (m), yaw angle against the track (rad), absolute yaw rate (rad/s), gyro
 bias (rad/s), creep angle (rad)."""
 _READ = ("y", "psi", "r")
-WheelState = group("WheelState", "tau N m, w rad/s, force N")
-"""States of the filter of a wheel: motor torque, angular speed, longitudinal creep force."""
-_WHEELS = dict.fromkeys(SIDES, WheelState)
-FilterState = group("FilterState", "y m, psi rad, r rad/s, bias rad/s, beta rad", _WHEELS, "v m/s, creep rad")
-"""States of the filter of a gear: `LATERAL`, left and right wheel, low-pass filtered speed and creep angle."""
-_LateralGain = group("LateralGain", dict.fromkeys(_READ, listed(range(len(SPEEDS)))))
-_LateralGains = group("LateralGains", dict.fromkeys(LATERAL, _LateralGain))
-_REST = "wheel_w -, wheel_force N s, prediction s, creep_pole -, speed_pole -, J_z kg m2"
-FilterGains = group("FilterGains", {"lateral": _LateralGains}, _REST)
-"""Run-time numbers of the filter: Kalman gains (of the lateral filter at `SPEEDS`), prediction time, gains per cycle of
-the low-pass filters, yaw inertia."""
-_SIDES = {"f": listed(SIDES), "s": listed(SIDES)}
-Estimates = group("Estimates", "y_TrAx m, psi_TrAx rad, psidot_Ax rad/s, xdot m/s", _SIDES)
-"""Estimates of a gear: states when a torque will arrive; adhesion f (force over nominal load) and slip s (-)."""
+_AtSpeeds = Annotated[list[Scalar], range(len(SPEEDS))]
+
+
+@dataclass(frozen=True)
+class WheelState:
+    """States of the filter of a wheel."""
+
+    tau: Annotated[Scalar, "N m", "motor torque"]
+    w: Annotated[Scalar, "rad/s", "angular speed"]
+    force: Annotated[Scalar, "N", "longitudinal creep force"]
+
+
+@dataclass(frozen=True)
+class FilterState:
+    """States of the filter of a running gear: first `LATERAL`."""
+
+    y: Annotated[Scalar, "m"]
+    psi: Annotated[Scalar, "rad"]
+    r: Annotated[Scalar, "rad/s"]
+    bias: Annotated[Scalar, "rad/s"]
+    beta: Annotated[Scalar, "rad"]
+    le: WheelState
+    ri: WheelState
+    v: Annotated[Scalar, "m/s", "low-pass filtered speed"]
+    creep: Annotated[Scalar, "rad", "low-pass filtered creep angle"]
+
+
+@dataclass(frozen=True)
+class LateralGain:
+    """Kalman gains of one of the states `LATERAL` by the readings y, psi, r (SI), each a list over `SPEEDS`."""
+
+    y: _AtSpeeds
+    psi: _AtSpeeds
+    r: _AtSpeeds
+
+
+@dataclass(frozen=True)
+class LateralGains:
+    """Kalman gains of the lateral filter, for each of the states `LATERAL`."""
+
+    y: LateralGain
+    psi: LateralGain
+    r: LateralGain
+    bias: LateralGain
+    beta: LateralGain
+
+
+@dataclass(frozen=True)
+class FilterGains:
+    """Run-time numbers of the filter."""
+
+    lateral: LateralGains
+    wheel_w: Annotated[Scalar, "-", "Kalman gain of the speed of a wheel"]
+    wheel_force: Annotated[Scalar, "N s", "Kalman gain of the creep force of a wheel"]
+    prediction: Annotated[Scalar, "s", "time from the readings to the effect of a torque"]
+    creep_pole: Annotated[Scalar, "-", "gain per cycle of the low-pass filter of the creep angle"]
+    speed_pole: Annotated[Scalar, "-", "gain per cycle of the low-pass filter of the speed"]
+    J_z: Annotated[Scalar, "kg m2", "yaw inertia"]
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """Estimates of a running gear when a torque will arrive; lists are [left, right] wheel."""
+
+    y_TrAx: Annotated[Scalar, "m", "lateral displacement"]
+    psi_TrAx: Annotated[Scalar, "rad", "yaw angle against the track"]
+    psidot_Ax: Annotated[Scalar, "rad/s", "yaw rate"]
+    xdot: Annotated[Scalar, "m/s", "speed"]
+    f: Annotated[list[Scalar], SIDES, "adhesion: force over nominal load (-)"]
+    s: Annotated[list[Scalar], SIDES, "slip (-)"]
 
 
 def lateral_matrices(vehicle: Vehicle, speed: float) -> tuple[np.ndarray, np.ndarray]:
@@ -97,7 +153,7 @@ def lateral_filter(vehicle: Vehicle, loop: Loop, speed: float) -> tuple[np.ndarr
 
 
 @lru_cache(maxsize=16)
-def stationary_gains(vehicle: Vehicle, loop: Loop) -> Any:
+def stationary_gains(vehicle: Vehicle, loop: Loop) -> FilterGains:
     """`FilterGains` of one gear, for the noise and latencies of `loop` and the vehicle parameters that the filter
     assumes."""
     rates = loop.filter
@@ -106,7 +162,7 @@ def stationary_gains(vehicle: Vehicle, loop: Loop) -> Any:
     spin = np.array([[0.0, -radius / inertia], [0.0, 0.0]])
     noise = max(loop.wheel_speed.noise, _LEAST) ** 2
     wheel, _ = _stationary(spin, np.array([[1.0, 0.0]]), np.diag([1e-8, rates.force_rate**2]), np.array([[noise]]))
-    lateral = unpack(_LateralGains, np.moveaxis(at_speeds, 0, -1).ravel().tolist())
+    lateral = unpack(LateralGains, np.moveaxis(at_speeds, 0, -1).ravel().tolist())
     return FilterGains(
         lateral,
         wheel_w=float(wheel[0, 0]),
@@ -119,17 +175,23 @@ def stationary_gains(vehicle: Vehicle, loop: Loop) -> Any:
 
 
 def observe(
-    readings: Any, commands: Sequence[list], track: Any, ticks, sensor: Any, gain: Any, memory: Any
-) -> tuple[Any, Any]:
+    readings: Signals,
+    commands: Sequence[list],
+    track: Any,
+    ticks,
+    sensor: SensorGains,
+    gain: Any,
+    memory: FilterState,
+) -> tuple[Estimates, FilterState]:
     """Correct the filter of a gear by the readings of this cycle, and predict to the time when a torque will act.
 
     Args:
         readings (Signals of SX): Delayed readings.
         commands (two lists of SX): Torques sent to left and right wheel before this cycle (N m), newest first.
-        track (interface.Track of SX): Track at the gear.
+        track (lateral.TrackInputs of SX): Track at the gear.
         ticks (SX): Control cycles since the start. At 0 the filter takes its states from the readings.
         sensor (SensorGains of SX): Run-time numbers of the sensors of this gear.
-        gain (LawSignature.Gains of SX): Of these `filter`, `model`, `drive` and `nominal_load` are used.
+        gain (law.SensedGains of SX): Of these `filter`, `model`, `drive` and `nominal_load` are used.
         memory (FilterState of SX): States of the filter at the time of the readings, before the correction.
 
     Returns:
@@ -148,7 +210,7 @@ def observe(
         for state in LATERAL
     }
     for side, w in (("le", readings.w_le), ("ri", readings.w_ri)):
-        wheel: Any = getattr(x, side)
+        wheel: WheelState = getattr(x, side)
         error = w - wheel.w
         corrected[side] = replace(
             wheel, w=wheel.w + gain.filter.wheel_w * error, force=wheel.force + gain.filter.wheel_force * error
@@ -162,12 +224,12 @@ def observe(
     return Estimates(y, psi + x.creep, r, v, f, s), x
 
 
-def advance(x: Any, commands: Sequence[list], track: Any, sensor: Any, gain: Any) -> Any:
+def advance(x: FilterState, commands: Sequence[list], track: Any, sensor: SensorGains, gain: Any) -> FilterState:
     """`FilterState` of SX one control cycle after `x`, the second result of `observe`. The other arguments are as in
     `observe`, but `commands` include the torques of this cycle."""
     h, model = CONTROL_PERIOD, gain.model
 
-    def wheel(state: Any, line: list) -> Any:
+    def wheel(state: WheelState, line: list) -> WheelState:
         commanded = delayed(line, sensor.measurement + sensor.command)
         tau = state.tau + (1 - ca.exp(-h / gain.drive.lag)) * (commanded - state.tau)
         w = state.w + h / model.J_Wy * ((state.tau + tau) / 2 - model.r_0 * state.force)
@@ -192,7 +254,7 @@ def _scheduled(at_speeds: list, v):
     return value
 
 
-def _yaw_acceleration(x: Any, track: Any, gain: Any):
+def _yaw_acceleration(x: FilterState, track: Any, gain: Any):
     """Yaw acceleration under the creep forces of both wheels, springs, dampers and gyroscopic moment (rad/s2)."""
     model = gain.model
     moment = model.b / 2 * (x.le.force - x.ri.force)
@@ -202,7 +264,7 @@ def _yaw_acceleration(x: Any, track: Any, gain: Any):
     return (moment + 2 * model.J_Wy * x.v / model.r_0 * roll_rate) / gain.filter.J_z
 
 
-def _predicted(x: Any, commands: Sequence[list], track: Any, sensor: Any, gain: Any) -> tuple:
+def _predicted(x: FilterState, commands: Sequence[list], track: Any, sensor: SensorGains, gain: Any) -> tuple:
     """Position, yaw and yaw rate when a torque of this cycle will arrive; torques under way act as on rolling
     wheels."""
     steps, model = 5, gain.model

@@ -7,36 +7,82 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import casadi as ca
 import numpy as np
 
 from railrepro import data, paths
 from railrepro.clock import CONTROL_PERIOD
-from railrepro.quantities import group, listed, names, unpack
+from railrepro.quantities import Scalar, names, unpack
 from railrepro.vehicle.parameters import Parameter, loaded
 
 LONGEST = 20
 """Longest latency that the delay lines hold (control cycles)."""
-Signals = group("Signals", "y_ahead m, y_behind m, psidot_Ax rad/s, w_le rad/s, w_ri rad/s, v m/s, p m")
-"""Readings of a gear: displacement against the rails in planes ahead of and behind the axle, yaw rate, angular speeds
-of left and right wheel, speed and position along the track."""
+_Line = Annotated[list[Scalar], range(LONGEST + 1)]
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Readings of a running gear."""
+
+    y_ahead: Annotated[Scalar, "m", "displacement against the rails in a plane ahead of the axle"]
+    y_behind: Annotated[Scalar, "m", "displacement against the rails in a plane behind the axle"]
+    psidot_Ax: Annotated[Scalar, "rad/s", "yaw rate"]
+    w_le: Annotated[Scalar, "rad/s", "angular speed of the left wheel"]
+    w_ri: Annotated[Scalar, "rad/s", "angular speed of the right wheel"]
+    v: Annotated[Scalar, "m/s", "speed along the track"]
+    p: Annotated[Scalar, "m", "position along the track"]
+
+
 SIGNALS = names(Signals)
 _GROUP = dict(
     zip(SIGNALS, ("lateral", "lateral", "gyro", "wheel_speed", "wheel_speed", "speed", "position"), strict=True)
 )
-_QUALITY = ("noise", "bias", "resolution")
-SensorGains = group(
-    "SensorGains",
-    dict.fromkeys(SIGNALS, group("Quality", dict.fromkeys(_QUALITY, Any))),
-    "measurement ms, command ms, unknown_delay ms, torque_gain -, seed -, base m",
-)
-"""Run-time numbers of a gear's sensors: for each of `Signals` noise, bias, resolution (unit of the signal); delays of
-readings, commands and inverter (ms), its gain (-), seed, distance `base` of the planes (m)."""
-_LINE = listed(range(LONGEST + 1))
-SensorMemory = group("SensorMemory", dict.fromkeys([*SIGNALS[:-1], "tau_le", "tau_ri"], _LINE))
-"""Delay lines of readings, but for p, and of torque commands (N m), `LONGEST` + 1 entries, newest first."""
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Errors of the sensor of one signal, in the unit of the signal and as in `Lateral`; the bias is drawn."""
+
+    noise: Scalar
+    bias: Scalar
+    resolution: Scalar
+
+
+@dataclass(frozen=True)
+class SensorGains:
+    """Run-time numbers of the sensors of a running gear."""
+
+    y_ahead: Quality
+    y_behind: Quality
+    psidot_Ax: Quality
+    w_le: Quality
+    w_ri: Quality
+    v: Quality
+    p: Quality
+    measurement: Annotated[Scalar, "ms", "delay of readings"]
+    command: Annotated[Scalar, "ms", "delay of commands"]
+    unknown_delay: Annotated[Scalar, "ms", "delay of the inverter"]
+    torque_gain: Annotated[Scalar, "-", "gain of the inverter"]
+    seed: Annotated[Scalar, "-", "seed of the noise"]
+    base: Annotated[Scalar, "m", "distance of the two planes"]
+
+
+@dataclass(frozen=True)
+class SensorMemory:
+    """Delay lines of the readings, except p, and of torque commands (N m): `LONGEST` + 1 entries, newest first."""
+
+    y_ahead: _Line
+    y_behind: _Line
+    psidot_Ax: _Line
+    w_le: _Line
+    w_ri: _Line
+    v: _Line
+    tau_le: _Line
+    tau_ri: _Line
+
+
 _MODULUS = 67108859.0
 """Largest prime below 2^26: squares of smaller whole numbers are exact in double precision."""
 
@@ -160,7 +206,7 @@ class Loop:
     def perfect(self) -> Loop:
         """Copy with exact readings, without latency. Inverter errors stay. `adhesion` is set to the values for exact
         readings: filter_time 5 ms, dead_zone 0.001/s, noise_speed 0."""
-        exact = dict.fromkeys(_QUALITY, 0.0)
+        exact = dict.fromkeys(names(Quality), 0.0)
         quiet = {sensor: replace(getattr(self, sensor), **exact) for sensor in _GROUP.values()}
         return replace(self, **quiet, latency=Latency(0.0, 0.0), adhesion=Adhesion(5e-3, 1e-3, 0.0))
 
@@ -205,7 +251,7 @@ class Readings:
         data.require("Readings: loop", self.loop, Loop)
         data.require("Readings: seed", self.seed, data.between(0, math.inf), whole=True)
 
-    def gains(self, gear: int) -> Any:
+    def gains(self, gear: int) -> SensorGains:
         """`SensorGains` of a gear (0 front, 1 rear), with biases drawn from the seed."""
         draw, loop, entries = np.random.default_rng((self.seed, gear)), self.loop, []
         for of_signal in _GROUP.values():
@@ -216,7 +262,7 @@ class Readings:
         return unpack(SensorGains, [*entries, loop.inverter.gain, float(self.seed % 1_000_003), loop.lateral.base])
 
 
-def sense(truth: Any, ticks, gear: int, gain: Any, memory: Any) -> tuple[Any, dict[str, Any]]:
+def sense(truth: Signals, ticks, gear: int, gain: SensorGains, memory: SensorMemory) -> tuple[Signals, dict[str, list]]:
     """Readings of one running gear in this control cycle.
 
     Args:
@@ -251,7 +297,7 @@ def delayed(line: list, cycles):
     return sum(ca.fmax(0, 1 - ca.fabs(cycles - k)) * value for k, value in enumerate(line))
 
 
-def received_torque(line: list, gain: Any):
+def received_torque(line: list, gain: SensorGains):
     """Torque command that reaches a motor in this cycle (N m), after latency, unknown delay and gain error. `line`
     holds the commands, newest first; `gain` is the `SensorGains` of the gear."""
     return gain.torque_gain * delayed(line, gain.command + gain.unknown_delay)

@@ -38,8 +38,8 @@ class Parameter:
 
 
 def parameters(of: type, values: Iterable[float]) -> list[Parameter]:
-    """`Parameter` list of the entries of a dataclass `of`, which `railrepro.quantities.group` has made. `values` (SI)
-    are in the order of the entries. Ranges are those of the class, +-1e12 where it states none."""
+    """`Parameter` list of the entries of a dataclass of quantities (`railrepro.quantities`). `values` (SI) are in the
+    order of the entries. Ranges are those of the class, +-1e12 where it states none."""
     found = []
     for (name, note), value in zip(notes(of), values, strict=True):
         allowed = note if isinstance(note, data.Quantity) else data.Quantity(-1e12, 1e12, note or "", closed=True)

@@ -4,18 +4,31 @@ paper's eqs. (7) and (18) to (20)."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Annotated
+
 import casadi as ca
 import numpy as np
 
 from railrepro.compile.codegen import stored
 from railrepro.data import InputError
 from railrepro.model.parameters import DISCREPANCIES, PARAMETERS
-from railrepro.quantities import group, names
+from railrepro.quantities import Scalar, names
 from railrepro.vehicle.parameters import Vehicle
 
-STATE_UNITS = "x m, psi_Ax rad, xdot m/s, psidot_Ax rad/s, y_TrAx m, psi_TrAx rad"
-States = group("States", STATE_UNITS)
-"""States of the control model of one running gear, SI. Source: eq. (18)."""
+
+@dataclass(frozen=True)
+class States:
+    """States of the control model of one running gear. Source: eq. (18)."""
+
+    x: Annotated[Scalar, "m", "track coordinate"]
+    psi_Ax: Annotated[Scalar, "rad", "heading"]
+    xdot: Annotated[Scalar, "m/s", "speed along the track"]
+    psidot_Ax: Annotated[Scalar, "rad/s", "yaw rate"]
+    y_TrAx: Annotated[Scalar, "m", "lateral displacement from the track"]
+    psi_TrAx: Annotated[Scalar, "rad", "yaw angle against the track"]
+
+
 STATES = names(States)
 X, PSI_AX, XDOT, PSIDOT_AX, Y, PSI_TRAX = range(len(STATES))
 INPUTS = ("tau_ri", "tau_le")

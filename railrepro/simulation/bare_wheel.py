@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
@@ -17,7 +17,7 @@ from railrepro.compile import codegen
 from railrepro.contact.creep import polach
 from railrepro.contact.table import middle_patch
 from railrepro.control.adhesion import AdhesionInputs, AdhesionMemory, AdhesionSettings
-from railrepro.quantities import group, indices, names, pack, symbols
+from railrepro.quantities import Scalar, indices, names, pack, symbols
 from railrepro.vehicle.parameters import AdhesionSet, Vehicle
 
 _SUBSTEPS, _LIMIT = 20, 1e5
@@ -32,11 +32,25 @@ class Case:
     adhesion: AdhesionSet
 
 
-Traces = group("Traces", "adhesion -, slip -, torque N m, speed m/s, segment -")
-"""Time series of single wheels. Each is an array with one row per ms and one column per wheel: adhesion f_x
-(longitudinal force over wheel load, traction-positive); slip s_x = (v - w r)/v; motor torque (traction-positive);
-running speed; active segment of the adhesion law, 1 to 3."""
-_State = group("State", "w rad/s, v m/s, u N m", {"law": AdhesionMemory})
+@dataclass(frozen=True)
+class Traces:
+    """Time series of single wheels: arrays with one row per ms and one column per wheel."""
+
+    adhesion: Annotated[Scalar, "-", "f_x, longitudinal force over wheel load, traction-positive"]
+    slip: Annotated[Scalar, "-", "s_x = (v - w r)/v"]
+    torque: Annotated[Scalar, "N m", "motor torque, traction-positive"]
+    speed: Annotated[Scalar, "m/s", "running speed"]
+    segment: Annotated[Scalar, "-", "active segment of the adhesion law, 1 to 3"]
+
+
+@dataclass(frozen=True)
+class _State:
+    """State of one case."""
+
+    w: Annotated[Scalar, "rad/s", "angular speed of the wheel"]
+    v: Annotated[Scalar, "m/s", "running speed"]
+    u: Annotated[Scalar, "N m", "motor torque"]
+    law: AdhesionMemory
 
 
 def _cycle(vehicle: Vehicle) -> ca.Function:
@@ -49,8 +63,8 @@ def _cycle(vehicle: Vehicle) -> ca.Function:
         """Adhesion and slip of a wheel that turns with w (rad/s) at speed v (m/s)."""
         slip = (v - w * radius) / ca.fmax(v, SLIP_FLOOR)
         friction = creep.k_a, creep.k_s, creep.mu0, creep.a_ratio, creep.b_decay
-        patch = a, b, *kalker, vehicle.contact.shear_modulus
-        force, *_ = polach(slip, 0.0, 0.0, load, *patch, *friction, ca.fabs(v - w * radius))
+        law = a, b, *kalker, vehicle.contact.shear_modulus, *friction, ca.fabs(v - w * radius)
+        force, *_ = polach(slip, 0.0, 0.0, load, *law)
         return force / load, slip
 
     f_star = ca.SX.sym("f_star")
@@ -70,7 +84,7 @@ def _cycle(vehicle: Vehicle) -> ca.Function:
     return ca.Function("bare_wheel", [state, f_star, case_], outputs, {"cse": True})
 
 
-def simulate(vehicle: Vehicle, cases: Sequence[Case], speed, demand) -> Any:
+def simulate(vehicle: Vehicle, cases: Sequence[Case], speed, demand) -> Traces:
     """Simulate single driven wheels under the 1 kHz adhesion law; returns their `Traces`.
 
     Each wheel starts rolling freely with zero torque, carries the nominal wheel load Q, and accelerates the mass Q/g.

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from railrepro.car import equations
+from railrepro.car import component, equations
 from railrepro.car.component import DERAILED, SteppedCar
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.control import cycle, interface, lateral, law
@@ -116,7 +116,8 @@ def run(
     require("plant_vehicle", body, Vehicle)
     route = scenario.route(irregularities, line)
     lateral_law, factory = lateral.split(guidance)
-    controllers = lateral.controllers(factory, vehicle, route) if factory else ()  # refused before the car is compiled
+    component.compile_ahead()
+    controllers = lateral.controllers(factory, vehicle, route) if factory else ()
     loop = start(
         scenario, lateral_law, route, vehicle, body, substeps,
         adhesion=adhesion, fixed_share=fixed_share, sensors=sensors,

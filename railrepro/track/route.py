@@ -14,7 +14,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
@@ -22,7 +22,7 @@ import pandas as pd
 from scipy.interpolate import CubicSpline
 
 from railrepro.data import InputError, above, require
-from railrepro.quantities import group
+from railrepro.quantities import Scalar
 from railrepro.track.irregularity import CHANNELS, LARGEST, check, coordinates
 from railrepro.track.table import Track, track_in
 
@@ -274,15 +274,24 @@ def _differentiated(term: ca.SX, s: ca.SX) -> ca.SX:
     return ca.vertcat(*terms)
 
 
-SetPoint = group("SetPoint", "kind -, amplitude m, period_start m, period_end m, start m, end m, fade m")
-"""Lateral set point y* by numbers. `kind` is 0 none, 1 a sine with the wavelength `period_start`, 2 a sweep from
-`period_start` to `period_end` with a wavenumber linear in p. Outside `start` to `end` (track coordinates) y* is 0. The
-amplitude rises over the length `fade` after `start` and falls over it before `end`. Source: paper, caption of Fig. 7
-(sine of 150 m), Figs. 6 and 9 (sweep, parameters not printed)."""
+@dataclass(frozen=True)
+class SetPoint:
+    """Lateral set point y* by numbers (lengths in m). `kind` is 0 none, 1 a sine with the wavelength `period_start`, 2
+    a sweep from `period_start` to `period_end` with a wavenumber linear in p. Outside `start` to `end` (track
+    coordinates) y* is 0. The amplitude rises over the length `fade` after `start` and falls over it before `end`.
+    Source: paper, caption of Fig. 7 (sine of 150 m), Figs. 6 and 9 (sweep, parameters not printed)."""
+
+    kind: Annotated[Scalar, "-"]
+    amplitude: Annotated[Scalar, "m"]
+    period_start: Annotated[Scalar, "m"]
+    period_end: Annotated[Scalar, "m"]
+    start: Annotated[Scalar, "m"]
+    end: Annotated[Scalar, "m"]
+    fade: Annotated[Scalar, "m"]
 
 
 @lru_cache
-def reference(of: Any) -> ca.Function:
+def reference(of: SetPoint) -> ca.Function:
     """Sine or sweep of a `SetPoint` as a CasADi function from track coordinate p (m) to y* (m). InputError for another
     kind."""
     if of.kind not in (1, 2):

@@ -4,7 +4,6 @@ linearised."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -39,7 +38,7 @@ class _Probed:
     def gains(self) -> dict[str, float]:
         return {**lateral.gains_of(self._law), "probe_amplitude": self._amplitude}
 
-    def torque(self, q: SimpleNamespace) -> tuple[ca.SX, dict]:
+    def torque(self, q: lateral.Quantities) -> tuple[ca.SX, dict]:
         du, following = lateral.answer(self._law, q)
         signal = q.probe_amplitude * multisine(q.probe_ticks * CONTROL_PERIOD, ca.sin)
         return du + signal, following | {"probe_ticks": q.probe_ticks + 1}

@@ -125,6 +125,29 @@ def test_a_compiler_that_fails_is_told_in_one_sentence(text, sentence, tmp_path,
     assert not list(tmp_path.rglob("*.so"))
 
 
+@pytest.mark.parametrize("works", [True, False])
+def test_what_is_compiled_ahead_is_waited_for(works, tmp_path, monkeypatch, forgotten, capsys):
+    """The compiler runs once and is announced once; what it refuses is told where the object is needed."""
+    slow, log = tmp_path / "cc", tmp_path / "log"
+    run = f'sleep 0.3; exec {cache.compiler()} "$@"' if works else "exit 1"
+    slow.write_text(f"#!/bin/sh\n{ANSWERS}\necho compiled >> {log}; {run}\n")
+    slow.chmod(0o755)
+    monkeypatch.setattr(paths, "BUILD", tmp_path)
+    monkeypatch.setattr(cache, "_SLOW", 0)
+    monkeypatch.setenv("CC", str(slow))
+    cache.compiler.cache_clear()
+    cache._announce.cache_clear()
+    cache.build_ahead("int ahead(void) { return 6; }")
+    if works:
+        assert cache.build("int ahead(void) { return 6; }").is_file()
+        assert cache.build("int other(void) { return 7; }").is_file()
+        assert log.read_text() == 2 * "compiled\n"
+    else:
+        with pytest.raises(cache.CompilerError, match="refused the generated source"):
+            cache.build("int ahead(void) { return 6; }")
+    assert capsys.readouterr().err.count("compiling for this machine") == 1
+
+
 def test_the_first_compiler_that_is_there_is_taken(monkeypatch, forgotten):
     there = ["gcc", cache.PACKAGED]
     monkeypatch.setattr(cache, "found", lambda name: name if name in there else None)

@@ -9,7 +9,7 @@ import pytest
 
 from railrepro.car import component, equations
 from railrepro.car.component import SteppedCar
-from railrepro.compile import codegen
+from railrepro.compile import codegen, lanes
 from railrepro.compile.lanes import lanes_header, lanes_text, pairs_text
 from railrepro.compile.reciprocals import share_reciprocals
 
@@ -49,8 +49,11 @@ def both(function, mirrored):
     return codegen.compiled(function), codegen.CompiledFunction(library, function), text
 
 
-def test_twins_have_the_bits_of_single_operations():
-    """Two gears on a body: functions of each, sums over both, an end of the car by its sign, a part without twin."""
+@pytest.mark.parametrize("piece", [1, 3, 10, 1000])
+def test_twins_have_the_bits_of_single_operations(piece, monkeypatch):
+    """Two gears on a body: functions of each, sums over both, an end of the car by its sign, a part without twin; in C
+    functions of `piece` statements each."""
+    monkeypatch.setattr(lanes, "_PIECE", piece)
     x, p = ca.SX.sym("x", 6), ca.SX.sym("p", 2)
     body, gears, seats = x[:2], (x[2:4], x[4:]), (ca.SX(0.5), ca.SX(-0.5))
     forces = [
@@ -62,6 +65,7 @@ def test_twins_have_the_bits_of_single_operations():
     function = ca.Function("gears", [x, p], [ca.vertcat(*rates), forces[1]], ["x", "p"], ["rates", "rear"])
     single, twins, text = both(function, {"x": [0, 1, 4, 5, 2, 3]})
     assert len(re.findall(r"lanes_exp\(", text)) == 1 and "own_exp(" not in text
+    assert ("gears_1(" in text) == (piece < 1000)
     for values in np.random.default_rng(0).uniform(0.1, 1.5, (50, 8)):
         for bound in (single, twins):
             bound.arguments[0][:], bound.arguments[1][:] = values[:6], values[6:]
