@@ -170,8 +170,11 @@ def table(cls: type) -> type:
 
 
 def location(path: Path | str | None, default: Path | None = None) -> Path:
-    """`path` as a `Path`; where it is None, `default`."""
-    return Path(default if path is None else path)  # type: ignore[arg-type]
+    """`path` as a `Path`; where it is None, `default`. InputError for anything that is no path."""
+    path = default if path is None else path
+    if not isinstance(path, str | os.PathLike):
+        raise InputError(f"path is {reprlib.repr(path)}, a path (str or Path) is needed")
+    return Path(path)
 
 
 def read(path: Path) -> Any:

@@ -32,13 +32,15 @@ def group(name: str, *members: str | Mapping[str, Any]) -> Any:
     Args:
         name (str): Name of the class.
         members (str or mapping): Fields in order. A string gives names with units: "y m, psi rad". A mapping gives for
-            each name a unit, a list `listed(…)`, or another such dataclass (a group). The function `names` calls field
-            y of a group g "g.y". If the group is `Annotated[dataclass, prefix]`, the name is "prefix.y".
+            each name a unit or a `data.Quantity`, a list `listed(…)`, or another such dataclass (a group). The function
+            `names` calls field y of a group g "g.y". If the group is `Annotated[dataclass, prefix]`, the name is
+            "prefix.y".
     """
     types: dict[str, Any] = {}
     for some in members:
         of = dict(each.split(" ", 1) for each in some.split(", ")) if isinstance(some, str) else some
-        types |= {entry: Annotated[Any, unit] if isinstance(unit, str) else unit for entry, unit in of.items()}
+        kinds = {entry: isinstance(note, type) or bool(get_args(note)) for entry, note in of.items()}
+        types |= {entry: note if kinds[entry] else Annotated[Any, note] for entry, note in of.items()}
     return make_dataclass(name, types.items(), frozen=True)
 
 
@@ -53,13 +55,13 @@ def _members(of: Any) -> list[tuple[str, type | None, tuple[str, ...] | None, An
         if is_dataclass(inner):
             found.append((field.name, inner, None, note))
         elif inner is not str:
-            found.append((field.name, None, note if inner is list else None, note))
+            found.append((field.name, None, note if inner is list else None, note or inner))
     return found
 
 
 def notes(of: type) -> list[tuple[str, Any]]:
     """Pairs (name, note) of all entries of a `group` class, in the order of `names`. The note is the unit (str) or the
-    `data.Quantity` of the entry; None for an element of a list."""
+    `data.Quantity` of the entry; its type where it has neither, None for an element of a list."""
     found: list[tuple[str, Any]] = []
     for name, inner, labels, note in _members(of):
         if inner:

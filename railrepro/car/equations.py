@@ -27,9 +27,9 @@ from railrepro.compile.codegen import stored
 from railrepro.compile.reciprocals import share_reciprocals
 from railrepro.contact.table import CELL_COLUMNS, ContactTable, in_cell
 from railrepro.data import InputError
-from railrepro.quantities import GEARS, SIDES, WHEELS, group, listed, names, pack, symbols, unpack
+from railrepro.quantities import GEARS, SIDES, WHEELS, group, listed, names, notes, pack, symbols, unpack
 from railrepro.track import route
-from railrepro.vehicle.parameters import AdhesionSet, CarBody, Drive, Gear, Vehicle, Wheel, WheelRail
+from railrepro.vehicle.parameters import AdhesionSet, CarBody, Drive, Environment, Gear, Vehicle, Wheel, WheelRail
 from railrepro.vehicle.parameters import Suspension as SuspensionData
 
 BODIES = ("body", *GEARS)
@@ -45,7 +45,7 @@ CarParameters = group(
     "CarParameters",
     {"body": CarBody, "gear": Gear, "wheel": Wheel, "suspension": SuspensionData, "drive": Drive, "contact": WheelRail},
     {"adhesion": group("Rails", {"good": AdhesionSet, "poor": AdhesionSet})},
-    "gravity m/s2",
+    {"gravity": dict(notes(Environment))["gravity"]},
 )
 """Run-time parameters of the car (SI), numbers or symbols: `par` in the functions of this package."""
 PARAMETERS = names(CarParameters)

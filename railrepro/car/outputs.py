@@ -8,12 +8,10 @@ from typing import Annotated
 from railrepro.quantities import WHEELS, group
 
 _STATES = "p m, psi_Ax rad, v m/s, psidot_Ax rad/s, y m, psi_TrAx rad"
-GearStates = group("GearStates", _STATES)
+GearOutputs = group("GearOutputs", _STATES, "phi rad, rail_y m")
 """States of a running gear in the order of the control model: track coordinate p (m), heading psi_Ax (rad), speed
 along the track v (m/s), yaw rate psidot_Ax (rad/s), lateral displacement y (m) and yaw angle psi_TrAx (rad) against
-the track."""
-GearOutputs = group("GearOutputs", _STATES, "phi rad, rail_y m")
-"""`GearStates`, roll against the track phi (rad) and lateral offset of the rails from the ideal track rail_y (m)."""
+the track. Then roll against the track phi (rad) and lateral offset of the rails from the ideal track rail_y (m)."""
 WheelOutputs = group(
     "WheelOutputs",
     "w rad/s, tau N m, N N, Fx N, Fy N, adhesion -, sx -, nu_x -, nu_y -, spin 1/m, M_spin N m, angle rad",

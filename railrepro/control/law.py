@@ -20,7 +20,7 @@ from railrepro.compile import codegen
 from railrepro.control import interface, lateral
 from railrepro.control.adhesion import AdhesionInputs, AdhesionMemory, AdhesionSettings
 from railrepro.control.allocation import allocate
-from railrepro.data import between, require
+from railrepro.data import above, between, require
 from railrepro.estimation import observers
 from railrepro.estimation.sensors import Readings, SensorGains, SensorMemory, Signals, received_torque, sense
 from railrepro.model.control_model import States
@@ -30,6 +30,7 @@ from railrepro.vehicle.parameters import Drive, Vehicle
 
 GUIDANCE_FADE = 1.0
 """Speed (m/s) below which the differential torque fades in proportion to the speed, to 0 at standstill."""
+_SHARE = between(0.0, 1.0, "-")
 
 
 @dataclass(frozen=True)
@@ -50,9 +51,10 @@ class LawSignature:
         the gains of the state estimation.
         """
         laws = {"lateral": listed(self.lateral.gains), "adhesion": AdhesionSettings}
+        loads = {"fixed_share": _SHARE, "nominal_load": above(0.0, 1e8, "N")}
         car = {"model": interface.Model, "drive": Drive, "limit": interface.Limits}
         sensed = {"front": SensorGains, "rear": SensorGains, "filter": observers.FilterGains} if self.sensed else {}
-        return group("Gains", laws, "fixed_share -, nominal_load N", car, sensed)
+        return group("Gains", laws, loads, car, sensed)
 
     @cached_property
     def Memory(self) -> Any:
@@ -128,7 +130,7 @@ def control_law(
         track_end (float): A run ends when the front gear reaches this track coordinate (m).
         stop_speed (float): A run ends when the speed of the front gear falls below it (m/s).
     """
-    require("fixed_share", fixed_share, between(0.0, 1.0))
+    require("fixed_share", fixed_share, _SHARE)
     if sensors is not None:
         require("sensors", sensors, Readings)
     if adhesion is None:

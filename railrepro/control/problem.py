@@ -20,7 +20,7 @@ import numpy as np
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile.codegen import stored
 from railrepro.compile.reciprocals import share_reciprocals
-from railrepro.data import InputError, above, between, check_fields, is_number
+from railrepro.data import InputError, above, between, check_fields, require
 from railrepro.model.control_model import (
     INPUTS,
     PSI_TRAX,
@@ -40,6 +40,8 @@ from railrepro.vehicle.parameters import Drive
 _WEIGHTS = ("q_x", "q_psi_Ax", "q_xdot", "q_psidot_Ax", "q_y_TrAx", "q_psi_TrAx")
 TUNING = (*_WEIGHTS, "r", "q_terminal", "period", "lateral_bound", "bound_weight")
 """Names of the entries of a tuning vector: those fields of `MPCSettings` that weigh costs or bound states."""
+WEIGHTS = dict.fromkeys(_WEIGHTS, between(0.0, 1e15)) | {"q_y_TrAx": above(0.0, 1e15)}
+"""Range of each weight of a state, by its name in `TUNING`."""
 
 
 class Tuning(NamedTuple):
@@ -161,10 +163,10 @@ class MPCSettings:
         if self.period < CONTROL_PERIOD or not round(self.period / CONTROL_PERIOD, 6).is_integer():
             raise InputError(f"MPCSettings: period is {self.period:g} s, a whole number of ms is needed")
         q = self.q_diag
-        numbers = isinstance(q, tuple | list) and len(q) == len(STATES) and all(map(is_number, q))
-        if not numbers or min(q) < 0 or q[Y] <= 0:
-            needed = f"{len(STATES)} weights not below 0, that of y above, are needed"
-            raise InputError(f"MPCSettings: q_diag is {q!r}, {needed}")
+        if not isinstance(q, tuple | list) or len(q) != len(STATES):
+            raise InputError(f"MPCSettings: q_diag is {q!r}, {len(STATES)} weights are needed")
+        for weight, (name, allowed) in zip(q, WEIGHTS.items(), strict=True):
+            require(f"MPCSettings: q_diag, {name}", weight, allowed)
 
     def tuning(self) -> np.ndarray:
         """These settings as a vector in the order of `TUNING`, in the units of the fields."""

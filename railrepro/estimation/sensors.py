@@ -7,14 +7,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_type_hints
 
 import casadi as ca
 import numpy as np
 
 from railrepro import data, paths
 from railrepro.clock import CONTROL_PERIOD
-from railrepro.quantities import group, listed, names, unpack
+from railrepro.quantities import group, listed, names, notes, unpack
 from railrepro.vehicle.parameters import Parameter, loaded
 
 LONGEST = 20
@@ -27,13 +27,7 @@ _GROUP = dict(
     zip(SIGNALS, ("lateral", "lateral", "gyro", "wheel_speed", "wheel_speed", "speed", "position"), strict=True)
 )
 _QUALITY = ("noise", "bias", "resolution")
-SensorGains = group(
-    "SensorGains",
-    dict.fromkeys(SIGNALS, group("Quality", dict.fromkeys(_QUALITY, Any))),
-    "measurement ms, command ms, unknown_delay ms, torque_gain -, seed -, base m",
-)
-"""Run-time numbers of a gear's sensors: for each of `Signals` noise, bias, resolution (unit of the signal); delays of
-readings, commands and inverter (ms), its gain (-), seed, distance `base` of the planes (m)."""
+_SEEDS = 1_000_003
 _LINE = listed(range(LONGEST + 1))
 SensorMemory = group("SensorMemory", dict.fromkeys([*SIGNALS[:-1], "tau_le", "tau_ri"], _LINE))
 """Delay lines of readings, but for p, and of torque commands (N m), `LONGEST` + 1 entries, newest first."""
@@ -176,6 +170,24 @@ class Loop:
         return noise, bias / np.sqrt(3)
 
 
+def _quality(sensor: type) -> Any:
+    """Group of noise, bias and resolution of a signal; the bias that a run draws has either sign."""
+    permitted = dict(notes(sensor))
+    return group("Quality", {name: replace(permitted[name], signed=name == "bias") for name in _QUALITY})
+
+
+_sensors, _delay = get_type_hints(Loop), data.between(0, LONGEST, "ms")
+SensorGains = group(
+    "SensorGains",
+    {signal: _quality(_sensors[of_signal]) for signal, of_signal in _GROUP.items()},
+    dict.fromkeys(("measurement", "command", "unknown_delay"), _delay),
+    {"torque_gain": dict(notes(Inverter))["gain"], "seed": data.between(0, _SEEDS, "-")},
+    {"base": dict(notes(Lateral))["base"]},
+)
+"""Run-time numbers of a gear's sensors: for each of `Signals` noise, bias, resolution (unit of the signal); delays of
+readings, commands and inverter (ms), its gain (-), seed, distance `base` of the planes (m)."""
+
+
 def load_loop(path: Path | str | None = None, **overrides) -> Loop:
     """Read and check the sensor data of a TOML file; default data/sensors.toml. InputError for a wrong key or value.
     `overrides` replace values (SI) by dotted key, as in `load_loop(**{"gyro.noise": 0.002})`."""
@@ -213,7 +225,7 @@ class Readings:
             entries += [getattr(sensor, name) for name in _QUALITY]
         delays = loop.latency.measurement, loop.latency.command, loop.inverter.delay
         entries += [delay / CONTROL_PERIOD for delay in delays]
-        return unpack(SensorGains, [*entries, loop.inverter.gain, float(self.seed % 1_000_003), loop.lateral.base])
+        return unpack(SensorGains, [*entries, loop.inverter.gain, float(self.seed % _SEEDS), loop.lateral.base])
 
 
 def sense(truth: Any, ticks, gear: int, gain: Any, memory: Any) -> tuple[Any, dict[str, Any]]:

@@ -1,57 +1,92 @@
-"""From C source text to an FMU (FMI 2.0) for co-simulation, for this platform. Each FMU has its own C (`fmu_t`, reset,
-begin, advance), which fmi2.c translates to the standard. All run-time numbers of car and controllers are parameters of
-their FMUs."""
+"""From C source text to an FMU (FMI 2.0) for co-simulation, for this platform and others. Each FMU has its own C (type
+`fmu_t`, reset, begin, advance, …), which fmi2.c translates to the standard. All run-time numbers of car and controllers
+are parameters of their FMUs; a range comes from the `data.Quantity` of the number."""
 
 from __future__ import annotations
 
 import io
+import math
+import reprlib
 import sys
 import uuid
 import zipfile
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from string import Template
+from typing import Any
 
 import numpy as np
 
-from railrepro import data
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import cache, codegen
-from railrepro.data import location, write
+from railrepro.data import InputError, Quantity, between, location, require, write
 from railrepro.quantities import notes
 
 _HERE = Path(__file__).parent
-_FOLDER, _SUFFIX = {"darwin": ("darwin64", "dylib")}.get(sys.platform, ("linux64", "so"))
-"""Name of this platform in FMI 2.0, and suffix of its shared objects."""
+_LARGEST = sys.float_info.max
+PLATFORMS = {
+    "linux64": ("so", "x86_64-linux-gnu"),
+    "win64": ("dll", "x86_64-windows-gnu"),
+    "darwin64": ("dylib", "aarch64-macos"),
+}
+"""Name of a platform in FMI 2.0 -> suffix of its shared objects, and target of the compiler of the package ziglang."""
+HERE = "darwin64" if sys.platform == "darwin" else "linux64"
+"""Name of this platform, for which its own compiler is taken."""
 
 
 @dataclass(frozen=True)
-class Parameter:
-    """A run-time number of an exported car or controller: name, value, unit (SI), allowed range `low` to `high`."""
+class Variable:
+    """An input or a parameter of an exported car or controller: name, value at the start, unit (SI), permitted range
+    `low` to `high`, by default all finite numbers. InputError if the value is out of the range."""
 
     name: str
     value: float
-    unit: str
-    low: float
-    high: float
+    unit: str = ""
+    low: float = -_LARGEST
+    high: float = _LARGEST
+
+    def __post_init__(self) -> None:
+        require(f"export: {self.name}", self.value, between(self.low, self.high, self.unit))
+
+    @property
+    def needed(self) -> str:
+        """What is permitted, in words."""
+        return f"a number from {self.low:g} up to {self.high:g} {self.unit} is needed".replace("  ", " ")
+
+    def fixed(self) -> Variable:
+        """Copy that keeps its value: what the rest of the export was made for."""
+        return replace(self, low=self.value, high=self.value)
 
 
-def parameters(of: type, values: Iterable[float]) -> list[Parameter]:
-    """`Parameter` list of the entries of a dataclass `of`, which `railrepro.quantities.group` has made. `values` (SI)
-    are in the order of the entries. Ranges are those of the class, +-1e12 where it states none."""
-    found = []
-    for (name, note), value in zip(notes(of), values, strict=True):
-        allowed = note if isinstance(note, data.Quantity) else data.Quantity(-1e12, 1e12, note or "", closed=True)
-        low = -allowed.high if allowed.signed else allowed.low
-        found.append(Parameter(name, float(value), allowed.unit, low, allowed.high))
-    return found
+def variable(name: str, value: float, note: Any = None) -> Variable:
+    """`Variable` whose range is that of `note`, a `data.Quantity`; where this excludes 0, the sign of `value` stays.
+    Other notes are those of `quantities.notes`: a unit, bool, or None."""
+    if note is bool:
+        note = between(0.0, 1.0)
+    if not isinstance(note, Quantity):
+        return Variable(name, float(value), note if isinstance(note, str) else "")
+    low, high = note.low, note.high
+    if not note.closed:
+        low = math.nextafter(low, math.inf) if low else sys.float_info.min
+    if note.signed:
+        low, high = (-high, high) if note.closed else (low, high) if value > 0 else (-high, -low)
+    return Variable(name, float(value), note.unit, float(low), float(high))
 
 
-def parameters_text(of: Sequence[Parameter]) -> str:
-    """C text of parameters: an enum of their indices (PARAMETER_BODY_MASS, …), N_PARAMETER, array PARAMETERS."""
+def variables(of: type, values: Iterable[float]) -> list[Variable]:
+    """`variable` of each entry of a dataclass `of`, which `quantities.group` has made, with its note. `values` (SI) are
+    in the order of the entries."""
+    return [variable(name, value, note) for (name, note), value in zip(notes(of), values, strict=True)]
+
+
+def numbers_text(inputs: Sequence[Variable], of: Sequence[Variable]) -> str:
+    """C text of the parameters `of`: an enum of their indices (PARAMETER_BODY_MASS, …), N_PARAMETER, array PARAMETERS;
+    arrays LOWEST and HIGHEST with the ranges of the inputs, then of the parameters."""
     text = index_enum("PARAMETER", [one.name for one in of]) + codegen.defines({"N_PARAMETER": len(of)})
-    return text + constant("PARAMETERS", np.array([one.value for one in of]))
+    text += constant("PARAMETERS", np.array([one.value for one in of]))
+    lowest, highest = np.transpose([(one.low, one.high) for one in (*inputs, *of)])
+    return text + constant("LOWEST", lowest) + constant("HIGHEST", highest)
 
 
 def index_enum(prefix: str, of: Iterable[str]) -> str:
@@ -71,33 +106,50 @@ class Fmu:
 
     Attributes:
         name, description (str): "car" or "controller"; one line on it.
-        outputs, inputs (tuple of str): Names of the variables in the order of the C arrays (SI).
-        parameters (sequence of Parameter): In the order of the C array.
+        outputs (tuple of str): Names of the outputs in the order of the C array.
+        inputs, parameters (sequence of Variable): In the order of the C arrays.
     """
 
     name: str
     description: str
     outputs: tuple[str, ...]
-    inputs: tuple[str, ...]
-    largest: float
-    """Largest magnitude of an input (SI)."""
-    parameters: Sequence[Parameter]
+    inputs: Sequence[Variable]
+    parameters: Sequence[Variable]
     text: str
-    """C source with call.h, generated functions and constants, which defines the type fmu_t, its members FMU_INPUTS,
-    FMU_OUTPUTS and FMU_PARAMETERS, and the functions reset, begin and advance."""
+    """C source with call.h, generated functions and `numbers_text`, which defines the type fmu_t, its members
+    FMU_INPUTS, FMU_OUTPUTS and FMU_PARAMETERS, the macro FMU_COUNT and the functions reset, begin and advance."""
+    counter: Mapping[str, str] = field(default_factory=dict)
+    """Output that is a whole number, FMU_COUNT: its name -> description; empty for none."""
 
-    def write(self, path: Path | str) -> Path:
-        """Compile the source, write the .fmu file and return its path. InputError if the file cannot be written."""
-        file = location(path)
-        limits = [(-self.largest, self.largest)] * len(self.inputs) + [(one.low, one.high) for one in self.parameters]
-        lowest, highest = np.transpose(limits)
-        text = self.text + constant("LOWEST", lowest) + constant("HIGHEST", highest)
-        text += codegen.defines({"FMU_NAME": f'"{self.name}"', "PERIOD": CONTROL_PERIOD})
+    def write(self, path: Path | str, platforms: Sequence[str] | None = None) -> Path:
+        """Compile the source, write the .fmu file and return its path.
+
+        Args:
+            path (path): The file to write.
+            platforms (sequence of str, optional): Keys of `PLATFORMS` to compile for; default this platform. Others
+                need the package ziglang.
+
+        Raises:
+            InputError: No path, unknown platform, no compiler for it, or the file cannot be written.
+        """
+        file, kinds = location(path), (HERE,) if platforms is None else platforms
+        if not isinstance(kinds, tuple | list) or not kinds or any(kind not in tuple(PLATFORMS) for kind in kinds):
+            raise InputError(f"platforms is {reprlib.repr(kinds)}, a list of names in {tuple(PLATFORMS)} is needed")
+        needed = ", ".join(f'"{one.name}: {one.needed}"' for one in (*self.inputs, *self.parameters))
+        text = self.text + f"static const char *const NEEDED[] = {{{needed}}};\n"
+        text += codegen.defines(
+            {"FMU_NAME": f'"{self.name}"', "PERIOD": CONTROL_PERIOD, "N_COUNTER": len(self.counter)}
+        )
         text += (_HERE / "fmi2.c").read_text()
         guid = str(uuid.uuid5(uuid.NAMESPACE_URL, f"railrepro {text}{self.model_description('')}"))
-        compiled, packed = cache.build(text, portable=True), io.BytesIO()
+        # where a DLL exports something by name, as CasADi's functions, it exports nothing else
+        text = codegen.defines({"FMU_GUID": f'"{guid}"', "CASADI_SYMBOL_EXPORT": ""}) + text
+        packed = io.BytesIO()
         with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-            archive.write(compiled, f"binaries/{_FOLDER}/railrepro_{self.name}.{_SUFFIX}")
+            for kind in dict.fromkeys(kinds):
+                suffix, triple = PLATFORMS[kind]
+                compiled = cache.build(text, portable=True, triple="" if kind == HERE else triple)
+                archive.write(compiled, f"binaries/{kind}/railrepro_{self.name}.{suffix}")
             archive.writestr("modelDescription.xml", self.model_description(guid))
             archive.writestr("sources/all.c", text)
         write(file, packed.getvalue())
@@ -105,24 +157,32 @@ class Fmu:
 
     def model_description(self, guid: str) -> str:
         """Text of modelDescription.xml with the GUID `guid`. Value references count outputs, then inputs, then
-        parameters."""
-        limits = f'min="{-self.largest:g}" max="{self.largest:g}" start="0"'
-        shown = [(name, "output", "continuous", "") for name in self.outputs]
-        shown += [(name, "input", "continuous", limits) for name in self.inputs]
-        for one in self.parameters:
-            edges = f'start="{one.value!r}" min="{one.low!r}" max="{one.high!r}" unit="{one.unit or "-"}"'
-            shown.append((one.name, "parameter", "fixed", edges))
-        variables = (
-            f'<ScalarVariable name="{name}" valueReference="{i}" causality="{causality}" variability="{variability}">'
-            f"<Real {number}/></ScalarVariable>"
-            for i, (name, causality, variability, number) in enumerate(shown)
-        )
+        parameters; those of the counters are of their own."""
+        numbers = (*self.inputs, *self.parameters)
+        reals = [(name, "output", "continuous", "<Real/>") for name in self.outputs]
+        reals += [(one.name, "input", "continuous", _real(one)) for one in self.inputs]
+        reals += [(one.name, "parameter", "fixed", _real(one)) for one in self.parameters]
+        counts = [(name, "output", "discrete", "<Integer/>", text) for name, text in self.counter.items()]
+        shown = [_scalar(i, *each) for of in (reals, counts) for i, each in enumerate(of)]
+        results = [*range(1, len(self.outputs) + 1), *range(len(reals) + 1, len(shown) + 1)]
         return Template((_HERE / "modelDescription.xml").read_text()).substitute(
             identifier=f"railrepro_{self.name}",
             description=self.description,
             guid=guid,
             step=CONTROL_PERIOD,
-            units="".join(f'<Unit name="{unit}"/>' for unit in sorted({one.unit or "-" for one in self.parameters})),
-            variables="\n    ".join(variables),
-            unknowns="".join(f'<Unknown index="{i + 1}"/>' for i in range(len(self.outputs))),
+            units="".join(f'<Unit name="{unit}"/>' for unit in sorted({one.unit or "-" for one in numbers})),
+            variables="\n    ".join(shown),
+            unknowns="".join(f'<Unknown index="{index}"/>' for index in results),
         )
+
+
+def _scalar(reference: int, name: str, causality: str, variability: str, kind: str, description: str = "") -> str:
+    """Element of modelDescription.xml of a variable; `kind` is its element of unit and range."""
+    of = f'name="{name}" valueReference="{reference}" causality="{causality}" variability="{variability}"'
+    return f'<ScalarVariable {of} description="{description}">{kind}</ScalarVariable>'
+
+
+def _real(of: Variable) -> str:
+    """Element of modelDescription.xml with unit, start value and range, where it has one."""
+    edges = f' min="{of.low!r}" max="{of.high!r}"' if of.high < _LARGEST else ""
+    return f'<Real start="{of.value!r}"{edges} unit="{of.unit or "-"}"/>'
