@@ -17,22 +17,19 @@ import casadi as ca
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.data import Quantity, above, between, check_fields
 
-_MOST = 1e4
-"""Largest value of each field of `NDI`."""
-
 
 @dataclass(frozen=True)
 class NDI:
     """Dynamic inversion: the differential torque gives the lateral error linear third-order dynamics with chosen
     poles."""
 
-    pole: Annotated[float, above(0.0, _MOST, "rad/s")] = 30.0
+    pole: Annotated[float, above(0.0, 1e4, "rad/s")] = 30.0
     """Magnitude of the real pole of the error dynamics (rad/s)."""
-    frequency: Annotated[float, above(0.0, _MOST, "rad/s")] = 30.0
+    frequency: Annotated[float, above(0.0, 1e4, "rad/s")] = 30.0
     """Natural frequency of the complex pole pair of the error dynamics (rad/s)."""
-    damping: Annotated[float, above(0.0, _MOST)] = 1.0
+    damping: Annotated[float, above(0.0, 1e4)] = 1.0
     """Damping ratio of the complex pole pair (-)."""
-    integral: Annotated[float, between(0.0, _MOST)] = 0.0
+    integral: Annotated[float, between(0.0, 1e4)] = 0.0
     """Integral gain ki divided by (k0 pole) (-), see `gains`; 0: no integral action."""
     rates: bool = False
     """Whether the first three derivatives of the set point are fed forward; False is how the paper is read."""
@@ -61,10 +58,9 @@ class NDI:
 
     @staticmethod
     def ranges() -> dict[str, Quantity]:
-        """Unit and range of each gain, see `lateral.LateralLaw`: what fields within their ranges give."""
-        most = NDI(_MOST, _MOST, _MOST, _MOST, rates=True).gains()
-        powers = {name: above(0.0, most[name], unit) for name, unit in (("k0", "1/s3"), ("k1", "1/s2"), ("k2", "1/s"))}
-        return powers | {"ki": between(0.0, most["ki"], "1/s4"), "ff": between(0.0, 1.0, "-")}
+        """Range of each gain, see `lateral.LateralLaw`: what fields within their ranges give."""
+        most = NDI(1e4, 1e4, 1e4, 1e4, rates=True).gains()
+        return {name: (between if name in ("ki", "ff") else above)(0.0, most[name], "") for name in most}
 
     def torque(self, q: SimpleNamespace) -> tuple[ca.SX, dict[str, ca.SX]]:
         """Pair: differential torque (N m), not yet limited, and the dict {"integral": next integral of y* - y (m s)}.

@@ -4,7 +4,6 @@
 typedef double (*sample_t)(void *, const double *, const double *, double);
 typedef struct { sample_t sample; void *self; } planner_memory_t;
 
-#define FALLBACKS(c) 0
 static void planner_reset(planner_memory_t *m, int gear, const double *parameters) {}
 static void planner_link(planner_memory_t *m, int gear, const double *parameters, const double *cells) {}
 

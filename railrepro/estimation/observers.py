@@ -28,10 +28,9 @@ import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
 from railrepro.clock import CONTROL_PERIOD
-from railrepro.data import between
-from railrepro.estimation.sensors import LONGEST, Loop, delayed
-from railrepro.quantities import SIDES, group, listed, notes, pack, unpack
-from railrepro.vehicle.parameters import Gear, Vehicle
+from railrepro.estimation.sensors import Loop, delayed
+from railrepro.quantities import SIDES, group, listed, pack, unpack
+from railrepro.vehicle.parameters import Vehicle
 
 SPEEDS = (2.0, 5.0, 10.0, 20.0, 40.0, 70.0, 120.0)
 """Speeds at which the gains of the lateral filter are computed (m/s); in between they are interpolated."""
@@ -48,13 +47,8 @@ FilterState = group("FilterState", "y m, psi rad, r rad/s, bias rad/s, beta rad"
 """States of the filter of a gear: `LATERAL`, left and right wheel, low-pass filtered speed and creep angle."""
 _LateralGain = group("LateralGain", dict.fromkeys(_READ, listed(range(len(SPEEDS)))))
 _LateralGains = group("LateralGains", dict.fromkeys(LATERAL, _LateralGain))
-_POLE, _PREDICTION = between(0.0, 1.0, "-"), between(0.0, LONGEST * CONTROL_PERIOD, "s")
-FilterGains = group(
-    "FilterGains",
-    {"lateral": _LateralGains},
-    "wheel_w -, wheel_force N s",
-    {"prediction": _PREDICTION, "creep_pole": _POLE, "speed_pole": _POLE, "J_z": dict(notes(Gear))["inertia_z"]},
-)
+_REST = "wheel_w -, wheel_force N s, prediction s, creep_pole -, speed_pole -, J_z kg m2"
+FilterGains = group("FilterGains", {"lateral": _LateralGains}, _REST)
 """Run-time numbers of the filter: Kalman gains (of the lateral filter at `SPEEDS`), prediction time, gains per cycle of
 the low-pass filters, yaw inertia."""
 _SIDES = {"f": listed(SIDES), "s": listed(SIDES)}

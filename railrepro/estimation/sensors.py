@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
@@ -170,19 +170,15 @@ class Loop:
         return noise, bias / np.sqrt(3)
 
 
-def _quality(sensor: type) -> Any:
-    """Group of noise, bias and resolution of a signal; the bias that a run draws has either sign."""
-    permitted = dict(notes(sensor))
-    return group("Quality", {name: replace(permitted[name], signed=name == "bias") for name in _QUALITY})
-
-
-_sensors, _delay = get_type_hints(Loop), data.between(0, LONGEST, "ms")
+_ranges = dict(notes(Loop))
 SensorGains = group(
     "SensorGains",
-    {signal: _quality(_sensors[of_signal]) for signal, of_signal in _GROUP.items()},
-    dict.fromkeys(("measurement", "command", "unknown_delay"), _delay),
-    {"torque_gain": dict(notes(Inverter))["gain"], "seed": data.between(0, _SEEDS, "-")},
-    {"base": dict(notes(Lateral))["base"]},
+    {
+        signal: group("Quality", {name: replace(_ranges[f"{of}.{name}"], signed=name == "bias") for name in _QUALITY})
+        for signal, of in _GROUP.items()
+    },
+    dict.fromkeys(("measurement", "command", "unknown_delay"), data.between(0, LONGEST, "ms")),
+    {"torque_gain": _ranges["inverter.gain"], "seed": data.between(0, _SEEDS), "base": _ranges["lateral.base"]},
 )
 """Run-time numbers of a gear's sensors: for each of `Signals` noise, bias, resolution (unit of the signal); delays of
 readings, commands and inverter (ms), its gain (-), seed, distance `base` of the planes (m)."""

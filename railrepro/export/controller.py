@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,9 +35,10 @@ TORQUES = INPUTS
 """Names of the outputs of a controller, motor torques (N m). They are the inputs of the car."""
 _HERE = Path(__file__).parent
 _HEADER, _STEP, _AS_FMU = ((_HERE / f"controller{part}").read_text() for part in (".txt", ".c", "_fmu.c"))
+_FALLBACKS = "((c)->planner[0].h.fallbacks + (c)->planner[1].h.fallbacks)"
+"""C expression: samples of the predictive controllers of both gears that were not solved."""
 _FIXED = re.compile(r"limit\.|cost\.period$|(front|rear)\.(measurement|command|unknown_delay)$")
 """Names of the parameters that keep their values, as plans and filters are made for them, or the export has no use."""
-_COUNTER = {"fallbacks": "samples so far, of both gears, in which the previous plan had to serve"}
 
 
 @dataclass(frozen=True)
@@ -86,14 +87,13 @@ class Export:
         ends: dict[str, Any] = {"lateral_limit": DERAILED, "track_end": self.route.length, "stop_speed": -1.0}
         control = law.control_law(self.vehicle, lateral_law, sensors=self.sensors, **ends)
         planners: list = [factory(self.vehicle, self.route, gear) for gear in range(len(GEARS))] if factory else []
-        found, functions = variables(control.signature.Gains, control.gains), [law.function(control.signature)]
         ranges = {f"lateral.{gain}": of for gain, of in getattr(lateral_law, "ranges", dict)().items()}
-        found = [variable(one.name, one.value, ranges[one.name]) if one.name in ranges else one for one in found]
-        slower, first = cycle.SLOTS, planners[0] if planners else None
+        found, functions = variables(control.signature.Gains, control.gains, ranges), [law.function(control.signature)]
+        slower, first, fallbacks = cycle.SLOTS, planners[0] if planners else None, "0"
         if isinstance(first, PredictiveController) and getattr(first, "solver", None) != "ipopt":
             functions += riccati.functions(first.settings.variant, first.settings.discretisation)
             found += _parameters(planners)
-            slower = _solver(planners, control.signature)
+            slower, fallbacks = _solver(planners, control.signature), _FALLBACKS
         elif first and hasattr(first, "exported"):
             slower = first.exported(planners, self.sensors.loop if self.sensors else None)
         elif planners:
@@ -101,9 +101,10 @@ class Export:
                 f"export: {type(first).__name__} is no 1 kHz law, LTV-MPC, NMPC by another solver than Ipopt or "
                 "LqgPreview, which alone have C of their own"
             )
-        numbers = {"N_CELLS": len(self.route.cells), "CELL_START": self.route.start, "CELL_STEP": CELL}
+        numbers: dict[str, Any] = {"N_CELLS": len(self.route.cells), "CELL_START": self.route.start, "CELL_STEP": CELL}
         numbers["PLAN_STEPS"] = round(first.period / CONTROL_PERIOD) if first else 0
-        found = [one.fixed() if _FIXED.match(one.name) else one for one in found]
+        numbers["FALLBACKS(c)"] = fallbacks
+        found = [replace(one, low=one.value, high=one.value) if _FIXED.match(one.name) else one for one in found]
         inputs = _inputs(self.route)
         text = codegen.source_text(functions) + codegen.PREAMBLE + codegen.defines(numbers)
         names = {"MEASURED": interface.MEASURED, "TORQUE": TORQUES, "MARGIN": interface.MARGINS}
@@ -111,7 +112,7 @@ class Export:
         text += road("CELLS", self.route.cells) + numbers_text(inputs, found)
         text += cycle.c_text(control.signature, len(found), slower) + _STEP + _AS_FMU
         description = "Controller of two running gears with independently rotating wheels"
-        return Fmu("controller", description, TORQUES, inputs, found, text, _COUNTER)
+        return Fmu("controller", description, TORQUES, inputs, found, text, ("fallbacks",))
 
 
 def _inputs(route: Route) -> list[Variable]:

@@ -24,12 +24,11 @@ typedef struct {
 
 typedef struct {
   callbacks_t callbacks;
-  char name[64];
   state_t now;
 } instance_t;
 
 static fmi2Status refused(const instance_t *i, const char *text) {
-  if (i->callbacks.logger) i->callbacks.logger(i->callbacks.environment, i->name, fmi2Error, "logStatusError", text);
+  if (i->callbacks.logger) i->callbacks.logger(i->callbacks.environment, FMU_NAME, fmi2Error, "logStatusError", text);
   return fmi2Error;
 }
 #define ONLY(phases, call) if (!(i->now.phase & (phases))) return refused(i, "fmi2" call " is out of order")
@@ -47,33 +46,27 @@ const char *fmi2GetVersion(void) { return "2.0"; }
 void fmi2FreeInstance(instance_t *i) { free(i); }
 
 fmi2Status fmi2Reset(instance_t *i) {
-  reset(&i->now.fmu);
-  memcpy(i->now.guid, FMU_GUID, sizeof FMU_GUID);
+  reset(&i->now.fmu), memcpy(i->now.guid, FMU_GUID, sizeof FMU_GUID);
   i->now.phase = INSTANTIATED, i->now.start = 0, i->now.stop = INFINITY, i->now.cycles = 0;
   return fmi2OK;
 }
 
 instance_t *fmi2Instantiate(const char *name, int type, const char *guid, const char *resources, const callbacks_t *callbacks) {
   instance_t *i = calloc(1, sizeof *i);
-  if (!i) return NULL;
-  if (callbacks) i->callbacks = *callbacks;
-  strncpy(i->name, name ? name : FMU_NAME, sizeof i->name - 1);
-  if (type == CO_SIMULATION && guid && !strcmp(guid, FMU_GUID)) return fmi2Reset(i), i;
-  refused(i, type == CO_SIMULATION ? "the GUID is not that of this FMU, " FMU_GUID : "this FMU is for co-simulation only");
+  if (i && callbacks) i->callbacks = *callbacks;
+  if (i && type == CO_SIMULATION && guid && !strcmp(guid, FMU_GUID)) return fmi2Reset(i), i;
+  if (i) refused(i, type == CO_SIMULATION ? "the GUID is not that of this FMU, " FMU_GUID : "this FMU is for co-simulation only");
   return free(i), NULL;
 }
 
 fmi2Status fmi2SetupExperiment(instance_t *i, int with_tolerance, double tolerance, double start, int with_stop, double stop) {
   ONLY(INSTANTIATED, "SetupExperiment");
-  if (!isfinite(start) || (with_stop && !(start <= stop))) return refused(i, "a finite start time, not after the stop time, is needed");
   i->now.start = start, i->now.stop = with_stop ? stop : INFINITY;
   return fmi2OK;
 }
 
-#define MOVE(call, from, to, action) fmi2Status fmi2##call(instance_t *i) { \
-  ONLY(from, #call); \
-  return action, i->now.phase = to, fmi2OK; \
-}
+#define MOVE(call, from, to, action) \
+  fmi2Status fmi2##call(instance_t *i) { ONLY(from, #call); return action, i->now.phase = to, fmi2OK; }
 MOVE(EnterInitializationMode, INSTANTIATED, INITIALISING, (void)0)
 MOVE(ExitInitializationMode, INITIALISING, STEPPING, begin(&i->now.fmu))
 MOVE(Terminate, STEPPING, TERMINATED, (void)0)
@@ -125,17 +118,12 @@ fmi2Status fmi2GetFMUstate(instance_t *i, state_t **state) {
   **state = i->now;
   return fmi2OK;
 }
-
 fmi2Status fmi2SetFMUstate(instance_t *i, const state_t *state) { return i->now = *state, fmi2OK; }
 fmi2Status fmi2FreeFMUstate(instance_t *i, state_t **state) { return free(*state), *state = NULL, fmi2OK; }
 fmi2Status fmi2SerializedFMUstateSize(instance_t *i, const state_t *state, size_t *n) { return *n = sizeof *state, fmi2OK; }
-
 fmi2Status fmi2SerializeFMUstate(instance_t *i, const state_t *state, char bytes[], size_t size) {
-  if (size < sizeof *state) return refused(i, "a state needs more bytes");
-  memcpy(bytes, state, sizeof *state);
-  return fmi2OK;
+  return size < sizeof *state ? refused(i, "a state needs more bytes") : (memcpy(bytes, state, sizeof *state), fmi2OK);
 }
-
 fmi2Status fmi2DeSerializeFMUstate(instance_t *i, const char bytes[], size_t size, state_t **state) {
   if (size != sizeof **state || memcmp(bytes, FMU_GUID, sizeof FMU_GUID)) return refused(i, "these bytes are no state of this FMU");
   if (fmi2GetFMUstate(i, state)) return fmi2Error;

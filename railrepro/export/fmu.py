@@ -11,7 +11,7 @@ import sys
 import uuid
 import zipfile
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -49,21 +49,11 @@ class Variable:
     def __post_init__(self) -> None:
         require(f"export: {self.name}", self.value, between(self.low, self.high, self.unit))
 
-    @property
-    def needed(self) -> str:
-        """What is permitted, in words."""
-        return f"a number from {self.low:g} up to {self.high:g} {self.unit} is needed".replace("  ", " ")
-
-    def fixed(self) -> Variable:
-        """Copy that keeps its value: what the rest of the export was made for."""
-        return replace(self, low=self.value, high=self.value)
-
 
 def variable(name: str, value: float, note: Any = None) -> Variable:
-    """`Variable` whose range is that of `note`, a `data.Quantity`; where this excludes 0, the sign of `value` stays.
-    Other notes are those of `quantities.notes`: a unit, bool, or None."""
-    if note is bool:
-        note = between(0.0, 1.0)
+    """`Variable` whose range is that of `note`, a `data.Quantity`, or a note of `quantities.notes` without range. The
+    sign of `value` stays where the range excludes 0."""
+    note = between(0.0, 1.0) if note is bool else note
     if not isinstance(note, Quantity):
         return Variable(name, float(value), note if isinstance(note, str) else "")
     low, high = note.low, note.high
@@ -74,10 +64,11 @@ def variable(name: str, value: float, note: Any = None) -> Variable:
     return Variable(name, float(value), note.unit, float(low), float(high))
 
 
-def variables(of: type, values: Iterable[float]) -> list[Variable]:
-    """`variable` of each entry of a dataclass `of`, which `quantities.group` has made, with its note. `values` (SI) are
-    in the order of the entries."""
-    return [variable(name, value, note) for (name, note), value in zip(notes(of), values, strict=True)]
+def variables(of: type, values: Iterable[float], ranges: Mapping[str, Quantity] | None = None) -> list[Variable]:
+    """`variable` of each entry of a dataclass `of`, which `quantities.group` has made, with its range in `ranges` or
+    else its note. `values` (SI) are in the order of the entries."""
+    noted = dict(notes(of)) | dict(ranges or {})
+    return [variable(name, value, note) for (name, note), value in zip(noted.items(), values, strict=True)]
 
 
 def numbers_text(inputs: Sequence[Variable], of: Sequence[Variable]) -> str:
@@ -118,8 +109,8 @@ class Fmu:
     text: str
     """C source with call.h, generated functions and `numbers_text`, which defines the type fmu_t, its members
     FMU_INPUTS, FMU_OUTPUTS and FMU_PARAMETERS, the macro FMU_COUNT and the functions reset, begin and advance."""
-    counter: Mapping[str, str] = field(default_factory=dict)
-    """Output that is a whole number, FMU_COUNT: its name -> description; empty for none."""
+    counter: tuple[str, ...] = ()
+    """Name of the output that is a whole number, FMU_COUNT, if there is one."""
 
     def write(self, path: Path | str, platforms: Sequence[str] | None = None) -> Path:
         """Compile the source, write the .fmu file and return its path.
@@ -135,11 +126,12 @@ class Fmu:
         file, kinds = location(path), (HERE,) if platforms is None else platforms
         if not isinstance(kinds, tuple | list) or not kinds or any(kind not in tuple(PLATFORMS) for kind in kinds):
             raise InputError(f"platforms is {reprlib.repr(kinds)}, a list of names in {tuple(PLATFORMS)} is needed")
-        needed = ", ".join(f'"{one.name}: {one.needed}"' for one in (*self.inputs, *self.parameters))
-        text = self.text + f"static const char *const NEEDED[] = {{{needed}}};\n"
-        text += codegen.defines(
-            {"FMU_NAME": f'"{self.name}"', "PERIOD": CONTROL_PERIOD, "N_COUNTER": len(self.counter)}
+        needed = ", ".join(
+            f'"{one.name}: a number from {one.low:g} up to {one.high:g} {one.unit} is needed"'
+            for one in (*self.inputs, *self.parameters)
         )
+        numbers = {"FMU_NAME": f'"{self.name}"', "PERIOD": CONTROL_PERIOD, "N_COUNTER": len(self.counter)}
+        text = self.text + f"static const char *const NEEDED[] = {{{needed}}};\n" + codegen.defines(numbers)
         text += (_HERE / "fmi2.c").read_text()
         guid = str(uuid.uuid5(uuid.NAMESPACE_URL, f"railrepro {text}{self.model_description('')}"))
         # where a DLL exports something by name, as CasADi's functions, it exports nothing else
@@ -157,32 +149,29 @@ class Fmu:
 
     def model_description(self, guid: str) -> str:
         """Text of modelDescription.xml with the GUID `guid`. Value references count outputs, then inputs, then
-        parameters; those of the counters are of their own."""
+        parameters; the counter has its own."""
         numbers = (*self.inputs, *self.parameters)
         reals = [(name, "output", "continuous", "<Real/>") for name in self.outputs]
         reals += [(one.name, "input", "continuous", _real(one)) for one in self.inputs]
         reals += [(one.name, "parameter", "fixed", _real(one)) for one in self.parameters]
-        counts = [(name, "output", "discrete", "<Integer/>", text) for name, text in self.counter.items()]
-        shown = [_scalar(i, *each) for of in (reals, counts) for i, each in enumerate(of)]
-        results = [*range(1, len(self.outputs) + 1), *range(len(reals) + 1, len(shown) + 1)]
+        counts = [(name, "output", "discrete", "<Integer/>") for name in self.counter]
+        results = [*range(1, len(self.outputs) + 1), *range(len(reals) + 1, len(reals) + len(counts) + 1)]
+        variables = (
+            f'<ScalarVariable name="{name}" valueReference="{i}" causality="{causality}" variability="{variability}">'
+            f"{kind}</ScalarVariable>"
+            for of in (reals, counts)
+            for i, (name, causality, variability, kind) in enumerate(of)
+        )
         return Template((_HERE / "modelDescription.xml").read_text()).substitute(
             identifier=f"railrepro_{self.name}",
             description=self.description,
             guid=guid,
             step=CONTROL_PERIOD,
             units="".join(f'<Unit name="{unit}"/>' for unit in sorted({one.unit or "-" for one in numbers})),
-            variables="\n    ".join(shown),
+            variables="\n    ".join(variables),
             unknowns="".join(f'<Unknown index="{index}"/>' for index in results),
         )
 
 
-def _scalar(reference: int, name: str, causality: str, variability: str, kind: str, description: str = "") -> str:
-    """Element of modelDescription.xml of a variable; `kind` is its element of unit and range."""
-    of = f'name="{name}" valueReference="{reference}" causality="{causality}" variability="{variability}"'
-    return f'<ScalarVariable {of} description="{description}">{kind}</ScalarVariable>'
-
-
 def _real(of: Variable) -> str:
-    """Element of modelDescription.xml with unit, start value and range, where it has one."""
-    edges = f' min="{of.low!r}" max="{of.high!r}"' if of.high < _LARGEST else ""
-    return f'<Real start="{of.value!r}"{edges} unit="{of.unit or "-"}"/>'
+    return f'<Real start="{of.value!r}" min="{of.low!r}" max="{of.high!r}" unit="{of.unit or "-"}"/>'

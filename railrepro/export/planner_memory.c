@@ -6,11 +6,8 @@ typedef struct {
   stage_t stage[STEPS + 1];
 } planner_memory_t;
 
-/* Samples of both gears so far that were not solved. */
-#define FALLBACKS(c) ((c)->planner[0].h.fallbacks + (c)->planner[1].h.fallbacks)
 static void planner_reset(planner_memory_t *m, int gear, const double *parameters) {
-  memset(m, 0, sizeof *m);
-  m->h = PLANNERS[gear], m->h.observer = parameters[PARAMETER_OBSERVER];
+  memset(m, 0, sizeof *m), m->h = PLANNERS[gear], m->h.observer = parameters[PARAMETER_OBSERVER];
 }
 
 static void planner_link(planner_memory_t *m, int gear, const double *parameters, const double *cells) {

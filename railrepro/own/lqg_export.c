@@ -5,11 +5,8 @@ typedef struct {
   double rails[2 * LQG_ROWS];
 } planner_memory_t;
 
-#define FALLBACKS(c) 0
 static void planner_reset(planner_memory_t *m, int gear, const double *parameters) {
-  (void)parameters;  /* its designs are tables */
-  memset(m, 0, sizeof *m);
-  m->gear = LQG_GEARS[gear];
+  memset(m, 0, sizeof *m), m->gear = LQG_GEARS[gear];  /* its designs are tables */
 }
 
 static void planner_link(planner_memory_t *m, int gear, const double *parameters, const double *cells) {
