@@ -37,7 +37,7 @@ _HERE = Path(__file__).parent
 _HEADER, _STEP, _AS_FMU = ((_HERE / f"controller{part}").read_text() for part in (".txt", ".c", "_fmu.c"))
 _FALLBACKS = "((c)->planner[0].h.fallbacks + (c)->planner[1].h.fallbacks)"
 """C expression: samples of the predictive controllers of both gears that were not solved."""
-_FIXED = re.compile(r"limit\.|cost\.period$|(front|rear)\.(measurement|command|unknown_delay)$")
+_FIXED = re.compile(r"limit\.|filter\.|cost\.period$|(front|rear)\.(measurement|command|unknown_delay)$")
 """Names of the parameters that keep their values, as plans and filters are made for them, or the export has no use."""
 
 
