@@ -51,8 +51,8 @@ test: $(VENV)  ## run the tests, the notebooks with small parameters among them
 test-slow: $(VENV)  ## run the tests that take minutes
 	$(PY) -m pytest -m slow $(PYTEST_JOBS)
 
-test-extras: $(call READY,bench) $(call READY,compiler)  ## install two groups and run their tests: Exudyn, live page
-	$(PY) -m pytest -m "not slow" $(PYTEST_JOBS) tests/validation tests/export/test_live.py
+test-extras: $(call READY,bench) $(call READY,compiler)  ## install two groups and run their tests: Exudyn, live page, FMUs of other platforms
+	$(PY) -m pytest -m "not slow" $(PYTEST_JOBS) tests/validation tests/export/test_live.py tests/export/test_fmu.py
 
 # Without optimisation compilers are fast and leave no access out. PYTHONMALLOC: all memory is that of the sanitizer.
 SANITIZERS := -O0 -g -ffp-contract=off -fsanitize=address,undefined,bounds-strict,float-cast-overflow -fno-sanitize-recover=all

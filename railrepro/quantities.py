@@ -43,13 +43,13 @@ def _members(of: Any) -> list[tuple[str, type | None, tuple[str, ...] | None, An
             found.append((field.name, inner, None, note))
         elif inner is not str:
             labels = tuple(map(str, more[0])) if get_origin(inner) is list else None
-            found.append((field.name, None, labels, note))
+            found.append((field.name, None, labels, note or inner))
     return found
 
 
 def notes(of: type) -> list[tuple[str, Any]]:
     """Pairs (name, note) of all entries of a dataclass of quantities, in the order of `names`. The note is the unit
-    (str) or the `data.Quantity` of the entry; None for an element of a list."""
+    (str) or the `data.Quantity` of the entry; its type where it has neither, None for an element of a list."""
     found: list[tuple[str, Any]] = []
     for name, inner, labels, note in _members(of):
         if inner:

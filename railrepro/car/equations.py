@@ -27,9 +27,9 @@ from railrepro.compile.codegen import stored
 from railrepro.compile.reciprocals import share_reciprocals
 from railrepro.contact.table import CELL_COLUMNS, ContactTable, in_cell
 from railrepro.data import InputError
-from railrepro.quantities import GEARS, SIDES, WHEELS, Scalar, names, pack, symbols, unpack
+from railrepro.quantities import GEARS, SIDES, WHEELS, Scalar, names, notes, pack, symbols, unpack
 from railrepro.track import route
-from railrepro.vehicle.parameters import AdhesionSet, CarBody, Drive, Gear, Vehicle, Wheel, WheelRail
+from railrepro.vehicle.parameters import AdhesionSet, CarBody, Drive, Environment, Gear, Vehicle, Wheel, WheelRail
 from railrepro.vehicle.parameters import Suspension as SuspensionData
 
 BODIES = ("body", *GEARS)
@@ -62,6 +62,9 @@ class Rails:
     poor: AdhesionSet
 
 
+_GRAVITY = dict(notes(Environment))["gravity"]
+
+
 @dataclass(frozen=True)
 class CarParameters:
     """Run-time parameters of the car (SI), numbers or symbols: `par` in the functions of this package."""
@@ -73,7 +76,7 @@ class CarParameters:
     drive: Drive
     contact: WheelRail
     adhesion: Rails
-    gravity: Annotated[Scalar, "m/s2"]
+    gravity: Annotated[Scalar, _GRAVITY]
 
 
 PARAMETERS = names(CarParameters)

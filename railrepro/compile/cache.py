@@ -166,7 +166,7 @@ def _is_sealed(target: Path) -> bool:
     return False
 
 
-def build(text: str, portable: bool = False, webassembly: bool = False) -> Path:
+def build(text: str, portable: bool = False, webassembly: bool = False, triple: str = "") -> Path:
     """Path of the object compiled from a C source text. It is compiled only if it is not in the cache with its seal.
 
     CompilerError if there is no compiler or no folder, or if the compiler refuses the source.
@@ -175,11 +175,14 @@ def build(text: str, portable: bool = False, webassembly: bool = False) -> Path:
         text (str): Complete C source.
         portable (bool): Make a shared object for any processor of the architecture, see `flags`.
         webassembly (bool): Make a WebAssembly module with the packaged compiler, instead of a shared object.
+        triple (str): Another platform, for which the packaged compiler makes the object, such as "x86_64-windows-gnu".
     """
-    if webassembly and not found(PACKAGED):
-        raise CompilerError("modules of WebAssembly need `pip install railrepro[compiler]`")
-    command = PACKAGED if webassembly else compiler()
+    if (webassembly or triple) and not found(PACKAGED):
+        wanted = f"shared objects for {triple}" if triple else "modules of WebAssembly"
+        raise CompilerError(f"{wanted} need `pip install railrepro[compiler]`")
+    command = PACKAGED if webassembly or triple else compiler()
     options = WEBASSEMBLY if webassembly else flags(portable)
+    options = ("-target", triple, *options) if triple else options
     key = hashlib.sha256((text + "\0" + identity(command, options)).encode()).hexdigest()[:24]
     target = cache_folder() / f"{key}.so"
     lock = target.with_suffix(".lock")
@@ -204,7 +207,7 @@ def build_ahead(text: str) -> None:
 
 @cache
 def _announce() -> None:
-    print("compiling for this machine, once; it takes up to half a minute", file=sys.stderr, flush=True)
+    print("compiling, once; it takes up to half a minute", file=sys.stderr, flush=True)
 
 
 def _compile(command: list[str], text: str, target: Path) -> None:

@@ -34,7 +34,8 @@ def c_text(signature: law.LawSignature, parameters: int, planners: str = SLOTS) 
     Args:
         signature (LawSignature): Signature of the 1 kHz law.
         parameters (int): Number of run-time parameters, including the gains of the law.
-        planners (str): C of the slower controllers: it defines planner_memory_t, planner_reset and planner_sample.
+        planners (str): C of the slower controllers: it defines planner_memory_t, planner_reset, planner_link and
+            planner_sample.
     """
     measured, memory, read = indices(interface.Measured), indices(signature.Memory), names(interface.ReadGear)
     places: dict[str, int | str] = {"GEAR_MEASURED": measured.rear.p - measured.front.p, "BASE": memory.front.u}

@@ -5,26 +5,40 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from railrepro.car.outputs import GearStates
+from railrepro.car.component import DERAILED
+from railrepro.data import between
 from railrepro.model.control_model import States
 from railrepro.quantities import Scalar, names
+
+
+@dataclass(frozen=True)
+class MeasuredGear:
+    """What the law measures of a running gear, see `car.outputs.GearStates`."""
+
+    p: Annotated[Scalar, between(-1e6, 1e6, "m"), "track coordinate"]
+    psi_Ax: Annotated[Scalar, between(-1e3, 1e3, "rad"), "heading"]
+    v: Annotated[Scalar, between(-1.0, 150.0, "m/s"), "speed along the track"]
+    psidot_Ax: Annotated[Scalar, between(-10.0, 10.0, "rad/s"), "yaw rate"]
+    y: Annotated[Scalar, between(-DERAILED, DERAILED, "m"), "lateral displacement from the track"]
+    psi_TrAx: Annotated[Scalar, between(-1.0, 1.0, "rad"), "yaw angle against the track"]
 
 
 @dataclass(frozen=True)
 class MeasuredWheel:
     """What the law measures of a wheel, see `car.outputs.WheelOutputs`."""
 
-    adhesion: Annotated[Scalar, "-"]
-    sx: Annotated[Scalar, "-", "slip"]
-    w: Annotated[Scalar, "rad/s", "angular speed"]
+    adhesion: Annotated[Scalar, between(-10.0, 10.0, "-")]
+    sx: Annotated[Scalar, between(-1e3, 1e3, "-"), "slip"]
+    w: Annotated[Scalar, between(-1e4, 1e4, "rad/s"), "angular speed"]
 
 
 @dataclass(frozen=True)
 class Measured:
-    """Outputs of the car that the law measures."""
+    """Outputs of the car that the law measures. An exported controller refuses values out of these ranges; `p` also has
+    to be on its route."""
 
-    front: GearStates
-    rear: GearStates
+    front: MeasuredGear
+    rear: MeasuredGear
     front_le: MeasuredWheel
     front_ri: MeasuredWheel
     rear_le: MeasuredWheel

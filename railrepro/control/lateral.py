@@ -93,8 +93,9 @@ class LateralLaw(Protocol):
     """Lateral guidance law that is evaluated every millisecond: an object with a method `torque(q)`, which returns an
     expression (CasADi SX) of the quantities q.
 
-    Two members are optional. `memory` is a tuple with the names of its own states, which are separate for each gear and
-    start at 0. `gains()` returns a dict from name to value of numbers that can change without compiling again.
+    Three members are optional. `memory` is a tuple with the names of its own states, which are separate for each gear
+    and start at 0. `gains()` returns a dict from name to value of numbers that can change without compiling again.
+    `ranges()` returns a dict from name to `data.Quantity`: in an exported law these gains stay within their ranges.
     """
 
     def torque(self, q: Quantities) -> ca.SX | tuple[ca.SX, dict[str, ca.SX]]:

@@ -20,7 +20,7 @@ from railrepro.control import interface, lateral
 from railrepro.control.adhesion import AdhesionInputs, AdhesionMemory, AdhesionSettings
 from railrepro.control.allocation import allocate
 from railrepro.control.lateral import ModelInputs, TrackInputs
-from railrepro.data import between, require
+from railrepro.data import above, between, require
 from railrepro.estimation import observers
 from railrepro.estimation.sensors import Readings, SensorGains, SensorMemory, Signals, received_torque, sense
 from railrepro.model.control_model import States
@@ -30,6 +30,7 @@ from railrepro.vehicle.parameters import Drive, Vehicle
 
 GUIDANCE_FADE = 1.0
 """Speed (m/s) below which the differential torque fades in proportion to the speed, to 0 at standstill."""
+_SHARE = between(0.0, 1.0, "-")
 
 
 @dataclass(frozen=True)
@@ -38,8 +39,8 @@ class LawGains:
 
     lateral: Annotated[list[Scalar], ()]
     adhesion: AdhesionSettings
-    fixed_share: Annotated[Scalar, "-", "share of the torque limit reserved for the differential torque"]
-    nominal_load: Annotated[Scalar, "N", "load of a wheel at rest"]
+    fixed_share: Annotated[Scalar, _SHARE, "share of the torque limit reserved for the differential torque"]
+    nominal_load: Annotated[Scalar, above(0.0, 1e8, "N"), "load of a wheel at rest"]
     model: ModelInputs
     drive: Drive
     limit: interface.Limits
@@ -175,7 +176,7 @@ def control_law(
         track_end (float): A run ends when the front gear reaches this track coordinate (m).
         stop_speed (float): A run ends when the speed of the front gear falls below it (m/s).
     """
-    require("fixed_share", fixed_share, between(0.0, 1.0))
+    require("fixed_share", fixed_share, _SHARE)
     if sensors is not None:
         require("sensors", sensors, Readings)
     if adhesion is None:

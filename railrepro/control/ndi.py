@@ -15,7 +15,7 @@ import casadi as ca
 
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.control import lateral
-from railrepro.data import above, between, check_fields
+from railrepro.data import Quantity, above, between, check_fields
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,12 @@ class NDI:
             "ki": self.integral * self.pole * k0,
             "ff": float(self.rates),
         }
+
+    @staticmethod
+    def ranges() -> dict[str, Quantity]:
+        """Range of each gain, see `lateral.LateralLaw`: what fields within their ranges give."""
+        most = NDI(1e4, 1e4, 1e4, 1e4, rates=True).gains()
+        return {name: (between if name in ("ki", "ff") else above)(0.0, most[name], "") for name in most}
 
     def torque(self, q: lateral.Quantities) -> tuple[ca.SX, dict[str, ca.SX]]:
         """Pair: differential torque (N m), not yet limited, and the dict {"integral": next integral of y* - y (m s)}.

@@ -20,7 +20,7 @@ import numpy as np
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile.codegen import stored
 from railrepro.compile.reciprocals import share_reciprocals
-from railrepro.data import InputError, above, between, check_fields, is_number
+from railrepro.data import InputError, above, between, check_fields, require
 from railrepro.model.control_model import (
     INPUTS,
     PSI_TRAX,
@@ -40,6 +40,10 @@ from railrepro.vehicle.parameters import Drive
 _WEIGHTS = ("q_x", "q_psi_Ax", "q_xdot", "q_psidot_Ax", "q_y_TrAx", "q_psi_TrAx")
 TUNING = (*_WEIGHTS, "r", "q_terminal", "period", "lateral_bound", "bound_weight")
 """Names of the entries of a tuning vector: those fields of `MPCSettings` that weigh costs or bound states."""
+LARGEST_WEIGHT = 1e9
+"""Largest weight of a state over that of y (1/m^2)."""
+WEIGHTS = dict.fromkeys(_WEIGHTS, between(0.0, LARGEST_WEIGHT)) | {"q_y_TrAx": above(0.0, LARGEST_WEIGHT)}
+"""Range of each weight of a state, by its name in `TUNING`."""
 
 
 class Tuning(NamedTuple):
@@ -125,10 +129,6 @@ def torque_limit() -> ca.Function:
     return ca.Function("torque_limit", [speed, par, numbers], [ca.SX(limit)])
 
 
-LARGEST_WEIGHT = 1e9
-"""Largest weight of a state over that of y (1/m^2)."""
-
-
 @dataclass(frozen=True)
 class MPCSettings:
     """Settings of a predictive controller: weights, horizon, prediction model, bounds. InputError for a wrong value."""
@@ -165,10 +165,10 @@ class MPCSettings:
         if self.period < CONTROL_PERIOD or not round(self.period / CONTROL_PERIOD, 6).is_integer():
             raise InputError(f"MPCSettings: period is {self.period:g} s, a whole number of ms is needed")
         q = self.q_diag
-        numbers = isinstance(q, tuple | list) and len(q) == len(STATES) and all(map(is_number, q))
-        if not numbers or min(q) < 0 or max(q) > LARGEST_WEIGHT or q[Y] <= 0:
-            needed = f"{len(STATES)} weights from 0 up to {LARGEST_WEIGHT:g}, that of y above 0, are needed"
-            raise InputError(f"MPCSettings: q_diag is {q!r}, {needed}")
+        if not isinstance(q, tuple | list) or len(q) != len(STATES):
+            raise InputError(f"MPCSettings: q_diag is {q!r}, {len(STATES)} weights are needed")
+        for weight, (name, allowed) in zip(q, WEIGHTS.items(), strict=True):
+            require(f"MPCSettings: q_diag, {name}", weight, allowed)
 
     def tuning(self) -> np.ndarray:
         """These settings as a vector in the order of `TUNING`, in the units of the fields."""

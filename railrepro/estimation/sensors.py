@@ -14,7 +14,7 @@ import numpy as np
 
 from railrepro import data, paths
 from railrepro.clock import CONTROL_PERIOD
-from railrepro.quantities import Scalar, names, unpack
+from railrepro.quantities import Scalar, names, notes, unpack
 from railrepro.vehicle.parameters import Parameter, loaded
 
 LONGEST = 20
@@ -39,6 +39,7 @@ SIGNALS = names(Signals)
 _GROUP = dict(
     zip(SIGNALS, ("lateral", "lateral", "gyro", "wheel_speed", "wheel_speed", "speed", "position"), strict=True)
 )
+_SEEDS = 1_000_003
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class Quality:
 
 @dataclass(frozen=True)
 class SensorGains:
-    """Run-time numbers of the sensors of a running gear."""
+    """Run-time numbers of the sensors of a running gear. `quality_ranges` has the ranges of the signals' errors."""
 
     y_ahead: Quality
     y_behind: Quality
@@ -61,12 +62,12 @@ class SensorGains:
     w_ri: Quality
     v: Quality
     p: Quality
-    measurement: Annotated[Scalar, "ms", "delay of readings"]
-    command: Annotated[Scalar, "ms", "delay of commands"]
-    unknown_delay: Annotated[Scalar, "ms", "delay of the inverter"]
-    torque_gain: Annotated[Scalar, "-", "gain of the inverter"]
-    seed: Annotated[Scalar, "-", "seed of the noise"]
-    base: Annotated[Scalar, "m", "distance of the two planes"]
+    measurement: Annotated[Scalar, data.between(0, LONGEST, "ms"), "delay of readings"]
+    command: Annotated[Scalar, data.between(0, LONGEST, "ms"), "delay of commands"]
+    unknown_delay: Annotated[Scalar, data.between(0, LONGEST, "ms"), "delay of the inverter"]
+    torque_gain: Annotated[Scalar, _RANGES["inverter.gain"], "gain of the inverter"]
+    seed: Annotated[Scalar, data.between(0, _SEEDS), "seed of the noise"]
+    base: Annotated[Scalar, _RANGES["lateral.base"], "distance of the two planes"]
 
 
 @dataclass(frozen=True)
@@ -222,6 +223,19 @@ class Loop:
         return noise, bias / np.sqrt(3)
 
 
+_RANGES = dict(notes(Loop))
+
+
+def quality_ranges() -> dict[str, data.Quantity]:
+    """Range of each error of a signal in `SensorGains`, as "y_ahead.noise": that of the field of `Loop`."""
+    errors = names(Quality)
+    return {
+        f"{signal}.{name}": replace(_RANGES[f"{of}.{name}"], signed=name == "bias")
+        for signal, of in _GROUP.items()
+        for name in errors
+    }
+
+
 def load_loop(path: Path | str | None = None, **overrides) -> Loop:
     """Read and check the sensor data of a TOML file; default data/sensors.toml. InputError for a wrong key or value.
     `overrides` replace values (SI) by dotted key, as in `load_loop(**{"gyro.noise": 0.002})`."""
@@ -259,7 +273,7 @@ class Readings:
             entries += [sensor.noise, sensor.bias * draw.uniform(-1.0, 1.0), sensor.resolution]
         delays = loop.latency.measurement, loop.latency.command, loop.inverter.delay
         entries += [delay / CONTROL_PERIOD for delay in delays]
-        return unpack(SensorGains, [*entries, loop.inverter.gain, float(self.seed % 1_000_003), loop.lateral.base])
+        return unpack(SensorGains, [*entries, loop.inverter.gain, float(self.seed % _SEEDS), loop.lateral.base])
 
 
 def sense(truth: Signals, ticks, gear: int, gain: SensorGains, memory: SensorMemory) -> tuple[Signals, dict[str, list]]:

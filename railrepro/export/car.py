@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from railrepro.car import component, equations
 from railrepro.car.component import LARGEST_SPEED, LARGEST_STATE, LARGEST_TORQUE, SteppedCar
 from railrepro.compile import codegen
-from railrepro.export.fmu import Fmu, Parameter, constant, parameters, parameters_text
+from railrepro.data import above
+from railrepro.export.fmu import Fmu, Variable, constant, numbers_text, variable, variables
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle
 
@@ -16,8 +17,14 @@ INPUTS = ("tau_front_le", "tau_front_ri", "tau_rear_le", "tau_rear_ri")
 """Names of the inputs of the car: torque commands to its four motors (N m)."""
 
 
-def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehicle | None = None) -> Path:
-    """Write the car on a route as a co-simulation FMU (FMI 2.0) for this platform and return the path of the file.
+def export_fmu(
+    path: Path | str,
+    route: Route | str,
+    speed: float,
+    vehicle: Vehicle | None = None,
+    platforms: Sequence[str] | None = None,
+) -> Path:
+    """Write the car on a route as a co-simulation FMU (FMI 2.0) and return the path of the file.
 
     The inputs are the torque commands `INPUTS` (N m), the outputs those of `railrepro.car.equations.car()`. The
     parameters are `equations.CarParameters` (such as "body.mass") and the initial "speed". Route and contact table are
@@ -29,11 +36,13 @@ def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehi
         route (Route or str): Route, or the name of a track.
         speed (float): Initial speed (m/s), above 0 up to 125.
         vehicle (Vehicle, optional): Default data/vehicle.toml.
+        platforms (sequence of str, optional): As in `export.fmu.Fmu.write`, such as ("linux64", "win64"); default this
+            platform.
 
     Raises:
-        InputError: No C compiler, speed out of range, or the file cannot be written.
+        InputError: An argument has a wrong type or is out of range, no C compiler, or the file cannot be written.
     """
-    return car_fmu(SteppedCar(route, speed, vehicle), speed).write(path)
+    return car_fmu(SteppedCar(route, speed, vehicle), speed).write(path, platforms)
 
 
 def car_fmu(car: SteppedCar, speed: float, road: Callable = constant) -> Fmu:
@@ -44,12 +53,13 @@ def car_fmu(car: SteppedCar, speed: float, road: Callable = constant) -> Fmu:
         speed (float): Initial speed (m/s).
         road (callable): Function (name, `Route.cells`) -> C text that defines this array.
     """
-    found = parameters(equations.CarParameters, car.parameters)
-    found.append(Parameter("speed", speed, "m/s", 0.1, LARGEST_SPEED))
+    found = variables(equations.CarParameters, car.parameters)
+    found.append(variable("speed", speed, above(0.0, LARGEST_SPEED, "m/s")))
+    inputs = [Variable(name, 0.0, "N m", -LARGEST_TORQUE, LARGEST_TORQUE) for name in INPUTS]
     outputs = equations.car().outputs
     numbers = {"N_INPUT": len(INPUTS), "LARGEST_STATE": LARGEST_STATE}
     text = component.c_text(equations.rest(car.table)) + codegen.defines(numbers)
     text += f"static const car_t CAR = {codegen.initialiser(car.c)};\n" + road("CELLS", car.route.cells)
-    text += constant("CONTACTS", car.table.cells()) + parameters_text(found)
+    text += constant("CONTACTS", car.table.cells()) + numbers_text(inputs, found)
     text += Path(__file__).with_name("car_fmu.c").read_text(encoding="utf-8")
-    return Fmu("car", "Multibody car on independently rotating wheels", outputs, INPUTS, LARGEST_TORQUE, found, text)
+    return Fmu("car", "Multibody car on independently rotating wheels", outputs, inputs, found, text)

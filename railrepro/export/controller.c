@@ -1,22 +1,38 @@
 /* A controller of both gears with its road built in. Starts after cycle.c and the constants of the exported one. */
 
+enum { CONTROLLER_OK, CONTROLLER_FELL_BACK, CONTROLLER_REFUSED, CONTROLLER_FAILED };
+
 /* At the start of a run with the parameters as they are. */
 void controller_start(controller_t *c) {
   memset(c->memory, 0, sizeof c->memory), memset(c->held, 0, sizeof c->held), c->cycles = 0;
-  for (int g = 0; g < GEARS; ++g) planner_reset(&c->planner[g], g, c->parameters, c->cells);
+  for (int g = 0; g < GEARS; ++g) planner_reset(&c->planner[g], g, c->parameters);
 }
 
 /* The same with all parameters as exported. */
 void controller_reset(controller_t *c) {
   memset(c, 0, sizeof *c);
   memcpy(c->parameters, PARAMETERS, sizeof c->parameters);
-  c->cells = CELLS, c->cell_start = CELL_START, c->cell_step = CELL_STEP, c->n_cells = N_CELLS, c->every = PLAN_STEPS;
+  c->cell_start = CELL_START, c->cell_step = CELL_STEP, c->n_cells = N_CELLS, c->every = PLAN_STEPS;
   controller_start(c);
 }
 
-/* One control cycle: from `measured` to `torque`; not 0 when the law fails. */
+/* Whether n values are numbers within the ranges from the entry `first` of LOWEST and HIGHEST on. */
+static int permitted(const double *values, int first, int n) {
+  while (n-- > 0)
+    if (!(LOWEST[first + n] <= values[n] && values[n] <= HIGHEST[first + n])) return 0;
+  return 1;
+}
+
+/* One control cycle: from `measured` to `torque`; returns one of the above. Finds its tables anew: c may be a copy. */
 int controller_step(controller_t *c) {
-  if (controller_command(c)) return 1;
+  const casadi_int before = FALLBACKS(c);
+  c->cells = CELLS;
+  for (int g = 0; g < GEARS; ++g) planner_link(&c->planner[g], g, c->parameters, c->cells);
+  const int refused = !permitted(c->measured, 0, N_INPUT) || !permitted(c->parameters, N_INPUT, N_PARAMETER);
+  if (refused || controller_command(c) || !(c->margins[MARGIN_FRONT_TORQUE] > 0 && c->margins[MARGIN_REAR_TORQUE] > 0)) {
+    memset(c->torque, 0, sizeof c->torque);
+    return refused ? CONTROLLER_REFUSED : CONTROLLER_FAILED;
+  }
   controller_keep(c);
-  return 0;
+  return FALLBACKS(c) > before ? CONTROLLER_FELL_BACK : CONTROLLER_OK;
 }

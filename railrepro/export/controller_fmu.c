@@ -3,6 +3,7 @@
 #define FMU_INPUTS measured
 #define FMU_OUTPUTS torque
 #define FMU_PARAMETERS parameters
+#define FMU_COUNT FALLBACKS
 
 typedef controller_t fmu_t;
 
@@ -12,6 +13,6 @@ static void begin(fmu_t *u) { controller_start(u); }
 /* What is measured is held for all cycles of a step. NULL, or a sentence where a cycle failed. */
 static const char *advance(fmu_t *u, casadi_int steps) {
   for (casadi_int k = 0; k < steps; ++k)
-    if (controller_step(u)) return "the control law failed";
+    if (controller_step(u) > CONTROLLER_FELL_BACK) return "the control law gave no finite number: all torques are 0";
   return NULL;
 }

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from units import Instance, fmpy
+from units import Instance
 
 from railrepro import paths
 from railrepro.compile import cache
@@ -19,6 +19,7 @@ from railrepro.estimation.sensors import readings
 from railrepro.export import live
 from railrepro.export.car import export_fmu
 from railrepro.export.controller import TORQUES, Export
+from railrepro.model.parameters import PARAMETERS
 from railrepro.own.lqg import LqgPreview
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
@@ -52,6 +53,7 @@ def units(tmp_path_factory):
         "car": export_fmu(folder / "car.fmu", route, SCENARIO.speed),
         "ndi": Export(LAW, route).write_fmu(folder / "ndi.fmu"),
         "nmpc": Export(guidance("nmpc", MPC, REAL_TIME), route).write_fmu(folder / "nmpc.fmu"),
+        "lqg": Export(GUIDANCE["lqg_preview"], route).write_fmu(folder / "lqg.fmu"),
     }
 
 
@@ -104,6 +106,72 @@ def test_fmus_with_parameters_drive_as_a_run_with_the_same_change(units, name, c
     assert abs(unchanged[: len(found)] - expected[: len(unchanged)]).max() > 1e-6
 
 
+@pytest.mark.parametrize("which", ["ndi", "nmpc"])
+def test_measured_values_that_make_no_sense_are_errors_and_never_torques(units, which):
+    car, controller = Instance(units["car"]), Instance(units[which])
+    coupled(car, controller, 20)
+    good = car.get(interface.MEASURED)
+    for k, name in enumerate(interface.MEASURED):
+        for value in (np.nan, np.inf, -1e9, *([-5.0] if name.endswith(".v") else [])):
+            with controller.refused() as said:
+                controller.set(interface.MEASURED, [*good[:k], value, *good[k + 1 :]])
+            assert name in said[0]
+    assert len(coupled(car, controller, 5)) == 5 and controller.count("fallbacks") == 0
+
+
+def test_a_sample_that_is_not_solved_is_counted(units):
+    """The model of the first controller overflows."""
+    expected = [[0, 2, 4], [0, 0, 0]]
+    for parameters, counts in zip(
+        ({"belief.J_z": 1e-300, "belief.J_Wz": 1e-300, "belief.J_Wy": 1e-300}, {}), expected, strict=True
+    ):
+        car, controller, found = Instance(units["car"]), Instance(units["nmpc"], parameters=parameters), []
+        for cycles in (0, 1, 10):
+            coupled(car, controller, cycles)
+            found.append(controller.count("fallbacks"))
+        assert found == counts
+
+
+def test_a_law_without_a_finite_number_is_an_error_and_gives_no_torque(tmp_path):
+    class Root:
+        def torque(self, q):
+            return 1e6 * (q.y + 1e-3) ** 0.5
+
+    controller = Instance(Export(Root(), SCENARIO.route()).write_fmu(tmp_path / "root.fmu"))
+    controller.set(["front.v", "front.y"], [77.8, 0.0])
+    controller.step()
+    assert min(map(abs, controller.get(TORQUES)[:2])) > 1000
+    controller.set(["front.y"], [-2e-3])
+    with controller.refused():
+        controller.step()
+    assert controller.get(TORQUES) == [0.0] * 4
+
+
+@pytest.mark.parametrize("which", ["ndi", "nmpc", "lqg"])
+def test_a_state_continues_bit_for_bit_in_the_same_and_in_another_instance(units, which):
+    files = units["car"], units[which]
+    pair = [Instance(file) for file in files]
+    coupled(*pair, 40)
+    states, times = [one.slave.getFMUState() for one in pair], [one.time for one in pair]
+    packed = [one.slave.serializeFMUState(state) for one, state in zip(pair, states, strict=True)]
+    expected = coupled(*pair, 60)
+    for one, state, time in zip(pair, states, times, strict=True):
+        one.slave.setFMUState(state)
+        one.slave.freeFMUState(state)
+        one.time = time
+    assert (coupled(*pair, 60) == expected).all()
+    others = [Instance(file) for file in files]
+    for one in pair:  # nothing that their states point to is left
+        one.slave.freeInstance()
+    for one, content, time in zip(others, packed, times, strict=True):
+        one.slave.setFMUState(one.slave.deserializeFMUState(content))
+        one.time = time
+    assert (coupled(*others, 60) == expected).all()
+    for content in (b"?" + packed[0][1:], packed[0][:-1], b""):
+        with others[0].refused():
+            others[0].slave.deserializeFMUState(content)
+
+
 def test_a_forecast_as_printed_is_exported_as_printed():
     fmu = Export(guidance("nmpc", MPC, variant="D4"), SCENARIO.route()).fmu()
     values = {one.name: one.value for one in fmu.parameters}
@@ -112,9 +180,15 @@ def test_a_forecast_as_printed_is_exported_as_printed():
 
 def test_a_parameter_out_of_range_is_refused_and_a_reset_forgets_parameters(units):
     wrong = [("car", "body.mass", 1.0), ("ndi", "adhesion.corridor", -0.1), ("nmpc", "cost.period", 0.02)]
+    wrong += [("ndi", "lateral.k0", 0.0), ("ndi", "adhesion.active", 2.0), ("ndi", "model.r_0", 0.0)]
+    wrong += [("nmpc", "cost.r", -1.0), ("nmpc", "cost.q_y_TrAx", 0.0), ("nmpc", "limit.lateral", 1.0)]
+    wrong += [("nmpc", f"belief.{name}", value) for name in PARAMETERS for value in (-1e15, np.nan)]
+    wrong += [("nmpc", f"belief.{name}", 0.0) for name in ("m", "J_z", "r_0", "b", "g")]
     for unit, name, value in wrong:
-        with pytest.raises(fmpy.fmi1.FMICallException):
-            Instance(units[unit], parameters={name: value})
+        instance = Instance(units[unit], begun=False)
+        with instance.refused() as said:
+            instance.begin({name: value})
+        assert name in said[0]
     car = Instance(units["car"], parameters={"speed": 50.0})
     assert car.get(["front.v", "speed"]) == [50.0, 50.0]
     car.slave.reset()
@@ -145,6 +219,44 @@ def test_the_program_of_the_page_drives_the_trajectory_of_a_run(tmp_path, monkey
     assert len(expected) > 850 and np.abs(expected[:, 1]).max() > 1e-4
     n = min(len(expected), len(names["path"]))
     assert np.array(names["path"][:n]) == pytest.approx(expected[:n], abs=1e-9)
+
+
+SPOILT = """
+#include <stdio.h>
+#include "controller.c"
+
+int main(void) {
+  static controller_t c, other;
+  const double bad[] = {NAN, INFINITY, -1e300};
+  int wrong = 0;
+  controller_reset(&c), controller_reset(&other);
+  for (int ms = 0; ms < 30; ++ms) {
+    c.measured[MEASURED_FRONT_V] = c.measured[MEASURED_REAR_V] = 77.8, c.measured[MEASURED_FRONT_Y] = 1e-3;
+    for (int i = 0; i < N_INPUT + N_PARAMETER; ++i)
+      for (int k = 0; k < 3; ++k) {
+        double *number = i < N_INPUT ? c.measured + i : c.parameters + (i - N_INPUT), kept = *number;
+        *number = bad[k], wrong += controller_step(&c) != CONTROLLER_REFUSED, *number = kept;
+        for (int wheel = 0; wheel < N_OUTPUT; ++wheel) wrong += c.torque[wheel] != 0;
+      }
+    memcpy(other.measured, c.measured, sizeof c.measured);
+    wrong += controller_step(&c) != CONTROLLER_OK || controller_step(&other) != CONTROLLER_OK || !c.torque[0];
+    wrong += memcmp(c.torque, other.torque, sizeof c.torque) != 0;
+    const controller_t copy = other;
+    memset(&other, 0xff, sizeof other), other = copy;
+  }
+  printf("%d", wrong);
+  return 0;
+}
+"""
+
+
+@pytest.mark.parametrize("law", [LAW, guidance("nmpc", MPC, REAL_TIME)], ids=["ndi", "nmpc"])
+def test_the_c_refuses_numbers_that_make_no_sense_and_goes_on_as_if_they_had_not_been(law, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Export(law, SCENARIO.route()).write_source("controller.c")
+    Path("main.c").write_text(SPOILT)
+    subprocess.run([cache.compiler(), "-O0", "-w", "main.c", "-o", "main", "-lm"], check=True)
+    assert subprocess.run(["./main"], capture_output=True, text=True, check=True).stdout == "0"
 
 
 def test_the_c_of_the_page_steers_back_and_needs_no_more_than_mathematics(tmp_path, monkeypatch):

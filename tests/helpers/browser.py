@@ -7,6 +7,7 @@ import base64
 import contextlib
 import io
 import json
+import os
 import shutil
 import subprocess
 import tempfile
@@ -55,7 +56,9 @@ def opened(url, folder, size="1440,900"):
     """The page of an address, in a browser of its own in a new folder."""
     browser = [BROWSER, "--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0"]
     browser += ["--remote-allow-origins=*", f"--user-data-dir={folder}", f"--window-size={size}", url]
-    process, page = subprocess.Popen(browser, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL), ""
+    folder.mkdir(exist_ok=True)
+    places = os.environ | {"TMPDIR": str(folder)}
+    process, page = subprocess.Popen(browser, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=places), ""
     try:
         for _ in range(600):
             with contextlib.suppress(OSError, IndexError, StopIteration):

@@ -1,5 +1,8 @@
 """A unit of FMI 2.0 in FMPy, for the tests of what is exported."""
 
+import contextlib
+import tempfile
+
 import pytest
 
 fmpy = pytest.importorskip("fmpy")
@@ -7,17 +10,22 @@ fmi2 = pytest.importorskip("fmpy.fmi2")
 
 
 class Instance:
-    """One instance with what it logs."""
+    """One instance with what it logs, started unless `begun` is false."""
 
-    def __init__(self, file, name="unit", guid=None, parameters=None):
+    def __init__(self, file, name="unit", parameters=None, guid=None, begun=True):
         description = fmpy.read_model_description(str(file))
         self.references = {v.name: v.valueReference for v in description.modelVariables}
         self.said, self.time = [], 0.0
         own = {"instanceName": name, "modelIdentifier": description.coSimulation.modelIdentifier}
-        own |= {"guid": guid or description.guid, "unzipDirectory": fmpy.extract(str(file))}
-        self.slave = fmi2.FMU2Slave(**own)
-        self._get, self._set = self.slave.getReal, self.slave.setReal
+        with tempfile.TemporaryDirectory() as folder:  # a loaded library needs its file no more
+            own |= {"guid": guid or description.guid, "unzipDirectory": fmpy.extract(str(file), folder)}
+            self.slave = fmi2.FMU2Slave(**own)
         self.slave.instantiate(callbacks=self._callbacks())
+        if begun:
+            self.begin(parameters)
+
+    def begin(self, parameters=None, **experiment):
+        self.slave.setupExperiment(**experiment)
         self.set(list(parameters or {}), list((parameters or {}).values()))
         self.slave.enterInitializationMode()
         self.slave.exitInitializationMode()
@@ -29,11 +37,22 @@ class Instance:
         callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(fmi2.free)
         return callbacks
 
+    @contextlib.contextmanager
+    def refused(self):
+        """The call inside is an error, which the log explains; yields the log."""
+        self.said.clear()
+        with pytest.raises(fmpy.fmi1.FMICallException) as raised:
+            yield self.said
+        assert raised.value.status == fmi2.fmi2Error and len(self.said) == 1
+
     def get(self, names):
-        return self._get([self.references[name] for name in names])
+        return self.slave.getReal([self.references[name] for name in names])
+
+    def count(self, name):
+        return self.slave.getInteger([self.references[name]])[0]
 
     def set(self, names, values):
-        self._set([self.references[name] for name in names], values)
+        self.slave.setReal([self.references[name] for name in names], values)
 
     def step(self, length=0.001):
         self.slave.doStep(currentCommunicationPoint=self.time, communicationStepSize=length)
