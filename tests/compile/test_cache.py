@@ -9,7 +9,7 @@ import pytest
 from railrepro import paths
 from railrepro.compile import cache
 from railrepro.data import InputError
-from railrepro.evidence.runs import store
+from railrepro.studies import store
 
 
 @pytest.fixture
