@@ -8,6 +8,7 @@ with … stands for several, in their order.
 import importlib
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -61,7 +62,7 @@ def test_told_in_one_sentence_before_anything_starts(words, sentence, capsys, mo
     for name, value in (word.split("=") for word in around):
         monkeypatch.setenv(name, value)
     try:
-        code = command.main(words.split()[len(around) :])
+        code = command.main(shlex.split(words)[len(around) :])
     except SystemExit as ended:
         code = ended.code
     said = capsys.readouterr().err
@@ -108,6 +109,13 @@ def test_every_command_leads_to_a_function():
     for parser in offered.values():
         module, _, function = parser.get_default("call").partition(":")
         assert callable(getattr(importlib.import_module(module), function)), parser.prog
+
+
+@pytest.mark.parametrize("where", [">/dev/full", ">&-"])
+def test_output_that_is_lost_is_a_sentence_and_no_success(where):
+    line = f"{sys.executable} -m railrepro --help {where}"
+    done = subprocess.run(line, shell=True, cwd=paths.ROOT, capture_output=True, text=True)
+    assert done.returncode == 1 and done.stderr.startswith("error: ") and len(done.stderr.splitlines()) == 1
 
 
 def test_a_stepped_car_that_leaves_the_rail_says_so_once():

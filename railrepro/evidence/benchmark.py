@@ -17,9 +17,12 @@ over settings. A seed draws sensors, irregularities and cars; the published one 
 
 from __future__ import annotations
 
+import multiprocessing
 import runpy
+import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import BrokenExecutor
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -60,6 +63,8 @@ _PATCH = ((0.0, 0.0), (299.5, 0.0), (300.5, 1.0), (499.5, 1.0), (500.5, 0.0))
 _WALKS, _ACTIVITIES = (220.0, 20.0), (20.0, 50.0, 115.0, 500.0)
 """Walks of force and moment in the quietest run (N/s^0.5, N m/s^0.5); torques above 5 Hz that are tried (N m)."""
 _MODULE = "railrepro_own_controller"
+LIMIT = 600.0
+"""Time after which a run of a user's file is given up (s)."""
 METRICS = {"error": "m", "limit": "m", "effort_du": "N m", "activity_du": "N m", "utilisation": "-"}
 METRICS |= {"stopping_distance": "m", "comfort": "-", "y_over_q": "-", "sum_y_over_limit": "-", "wheel_unloading": "-"}
 """Metric of a run -> unit; `limit` is that of the error, `comfort` the largest N_MV."""
@@ -165,13 +170,22 @@ def known(route: Route) -> Route:
 def drive(of: str | Path | type, case: Experiment) -> dict:
     """Simulate a run of `cases` under a controller; returns a dict.
 
-    `of` is a key of `registry.CONTROLLERS`, a class or a file; a file is loaded and run in a worker process. Keys of
-    the result: those of the run's label; controller (name); failure (one sentence, "" for a good run); the metrics
-    (SI). A run whose controller raises an error has no metrics.
+    `of` is a key of `registry.CONTROLLERS`, a class or a file; a file is loaded and run by `executor.work`. Keys of the
+    result: those of the run's label; controller (name); failure (one sentence, "" for a good run); the metrics (SI). A
+    run whose controller raises an error has no metrics. InputError when a file ended its process or took longer than
+    `LIMIT`; that needs `apart` of `executor.ordered_map`.
     """
     head = case.label | {"controller": name_of(of), "failure": ""}
+    if isinstance(of, Path):
+        run = f"{of.name}: its run {case.label['scenario']} in the setting {case.setting}"
+        try:
+            return head | work(_driven, of, case, limit=LIMIT)
+        except TimeoutError as error:
+            raise InputError(f"{run} was given up after {LIMIT:g} s, the limit of time") from error
+        except BrokenExecutor as error:
+            raise InputError(f"{run} ended its process: it exited, crashed or was killed") from error
     if not isinstance(of, str):
-        return head | (work(_driven, of, case) if isinstance(of, Path) else _driven(of, case))
+        return head | _driven(of, case)
     known = {"controller": of, "parameters": {} if of == NOTHING else None, "options": CONTROLLERS[of].quick}
     try:
         return head | replace(case, **known).measured(_row)[0]
@@ -187,11 +201,13 @@ def _driven(of: Path | type, case: Experiment) -> dict:
             raise InputError(f"{own.__name__}: `tuned` has {sorted(tables)}, only {[EQUAL, LOOP]} are known")
         asked = replace(case, controller=_registered(own), parameters=tables.get(case.setting, {}))
         return _row(asked.run(), asked)[0]
-    except (Exception, SystemExit) as error:  # a user's controller may raise whatever it likes
+    except BaseException as error:  # a user's controller may raise whatever it likes
+        if isinstance(error, KeyboardInterrupt) and multiprocessing.parent_process() is None:
+            raise  # Ctrl-C, which does not reach the processes of a study
         lines = [each.lineno for each in traceback.extract_tb(error.__traceback__) if each.filename == str(of)]
         where = f"{name_of(of)}, line {lines[-1]}" if lines else name_of(of)
         kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
-        return {"failure": f"{where}: {kind}{' '.join(str(error).split())}"[:300]}
+        return {"failure": f"{where}: {kind}{' '.join(str(error).split())}".rstrip(": ")[:300]}
 
 
 def _registered(own: type) -> str:
@@ -262,6 +278,11 @@ def _bounds(loop: Loop, speed: float) -> store.Entry:
     return {"errors": [bound.limit(load_vehicle(), loop, speed, _WALKS, activity=a) for a in _ACTIVITIES]}, None
 
 
+def _drive_all(of: str | Path | type, cases: Sequence[Experiment], title: str, quiet: bool) -> list[dict]:
+    """Rows of `drive`; what a file does to its process harms no other one."""
+    return ordered_map(partial(drive, of), cases, title, quiet, apart=isinstance(of, Path))
+
+
 def score(
     of: str | Path | type, seeds: Sequence[int], names: Sequence[str] | None = None, quiet: bool = False
 ) -> pd.DataFrame:
@@ -279,7 +300,7 @@ def score(
     """
     drawn = [replace(case, label=case.label | {"seed": seed}) for seed in seeds for case in cases(seed, names)]
     ends = ordered_map(ends_of_the_scale, drawn, "limits", quiet)
-    rows = ordered_map(lambda case: drive(of, case), drawn, f"score {name_of(of)}", quiet)
+    rows = _drive_all(of, drawn, f"score {name_of(of)}", quiet)
     both = [row | end for row, end in zip(rows, ends, strict=True)]
     return pd.DataFrame([row | {"points": points(row)} for row in both])
 
@@ -347,14 +368,17 @@ def tuning_cost(own: type, setting: str, runs: Sequence[str]) -> Callable[[list[
 def main(controller: str, seed: int | None = None) -> None:
     """Command `score`: score a controller with one seed, print its `card` and write its table to build/score.
 
-    `controller` is a registered name or a Python file, `seed` is `PUBLISHED` by default. InputError when not a single
-    run gives metrics.
+    `controller` is a registered name or a Python file, `seed` is `PUBLISHED` by default. A file runs in processes of
+    its own, but with all rights of the user, which is said before it starts. InputError when not a single run gives
+    metrics, and as from `drive`.
     """
     of, seed = entry(controller), PUBLISHED if seed is None else seed
     data.require("seed", seed, data.between(0, 2**31), whole=True)
+    if isinstance(of, Path):
+        words = "its code runs as you, with all your rights; score only what you would run yourself"
+        print(f"{of}: {words}", file=sys.stderr, flush=True)
     short = load_scenario("curve_entry_T3").but(end_m=30.0)  # what cannot be driven at all is refused at once
-    for first in cases(seed, ["curve_T3"]):
-        row = drive(of, replace(first, scenario=short))
+    for row in _drive_all(of, [replace(first, scenario=short) for first in cases(seed, ["curve_T3"])], "check", True):
         if "rmse_y" not in row:
             raise InputError(row["failure"])
     table = score(of, [seed])

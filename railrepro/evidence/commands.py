@@ -21,10 +21,12 @@ from railrepro.data import InputError
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command, as ["tune", "nmpc"] (default `sys.argv`); returns its exit code. Wrong arguments exit with 2."""
-    chosen = vars(parser().parse_args(arguments))
-    numerics.fix()  # before a command imports NumPy
-    module, _, name = chosen.pop("call").partition(":")
     try:
+        if sys.stdout is None:
+            raise InputError("standard output is closed")  # another file that is opened would take its place
+        chosen = vars(parser().parse_args(arguments))
+        numerics.fix()  # before a command imports NumPy
+        module, _, name = chosen.pop("call").partition(":")
         # outside of `report_errors`: libraries that are interrupted while they are imported fail in ways of their own
         call = getattr(importlib.import_module(module), name)
     except (InputError, ModuleNotFoundError) as error:
@@ -47,11 +49,9 @@ def report_errors(command: Callable[[], object]) -> int:
         if leader.isdigit():
             threading.Thread(target=end_with, args=(int(leader),), daemon=True).start()
         result = command()
-        if isinstance(result, int):
-            return result
-        if result is not None:
-            print(result)
-        return 0
+        code = result if isinstance(result, int) else 0
+        _print("" if result is None or isinstance(result, int) else f"{result}\n")
+        return code
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
@@ -62,6 +62,15 @@ def report_errors(command: Callable[[], object]) -> int:
     except KeyboardInterrupt:
         print("interrupted; nothing half-written, run again to resume", file=sys.stderr, flush=True)
         end(130)
+
+
+def _print(text: str) -> None:
+    """Print to stdout, with all that was printed before, at once; InputError when that fails."""
+    try:
+        print(text, end="", flush=True)
+    except OSError as error:
+        sys.stdout = None  # what it holds back is lost, Python need not try again
+        raise InputError(f"standard output cannot be written ({error.strerror})") from error
 
 
 def end(code: int) -> NoReturn:
@@ -87,10 +96,20 @@ def end_with(leader: int) -> None:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Reports wrong arguments in one sentence."""
+    """Reports wrong arguments, and help that cannot be printed, in one sentence."""
+
+    def print_help(self, file=None) -> None:
+        _print(self.format_help())
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"error: {message}; `{self.prog} --help` shows what is allowed\n")
+
+
+def _file(text: str) -> Path:
+    """Argument that names a file."""
+    if not Path(text).is_file():
+        raise argparse.ArgumentTypeError(f"there is no file {text!r}")
+    return Path(text)
 
 
 _CALLS = {
@@ -114,7 +133,7 @@ _CALLS = {
 """Commands with the function that each calls, as "module:name", and what it does."""
 _ARGUMENTS: list[tuple[str, str, dict]] = [
     ("figures", "names", {"nargs": "*", "metavar": "NAME", "help": "notebooks or figures, as fig06; default all"}),
-    ("drive", "vehicle", {"type": Path, "help": "a file like data/vehicle.toml"}),
+    ("drive", "vehicle", {"type": _file, "help": "a file like data/vehicle.toml"}),
     ("tune", "names", {"nargs": "*", "metavar": "NAME", "help": "settings and controllers; default all"}),
     ("probe", "settings", {"nargs": "*", "metavar": "SETTING", "help": "paper, equal, loop; default all; or FILE.toml, "
                            "a filled data/answers.toml"}),

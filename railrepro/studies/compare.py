@@ -164,7 +164,8 @@ def compare(
         more = {"options": CONTROLLERS[name].quick and {"solver": solver}} | more
         experiments.append(at.experiment(driven, name, label=label, stride=stride, **more))
     rows, series = run_all(experiments, "runs")
-    assert series is not None, "a stride keeps rows"
+    if series is None:
+        raise InputError("compare: there is no run, because a list of what to simulate is empty or the stride is 0")
     last = "case" if isinstance(controllers, Mapping) else "controller"
     return Comparison(rows, series, (*(name for name in grid if name in listed), last))
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import re
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -38,6 +39,9 @@ _OTHER_CODE = (
     "meanwhile or another machine has another version; restart (in Jupyter the kernel) and run again to resume"
 )
 
+_NO_ADDRESS = "RAILREPRO_DASK={!r}, the address of a Dask scheduler such as tcp://127.0.0.1:8786 is needed"
+_NO_DASK = "RAILREPRO_DASK is set, for which the package distributed is needed (pip install railrepro[cluster]): {}"
+
 _FEW = 4
 """Number of tasks up to which this process computes them itself: processes of its own would start for longer."""
 _around = threading.local()
@@ -60,42 +64,69 @@ def executor() -> Iterator[Executor]:
 
     With the environment variable RAILREPRO_DASK, an address, the processes are those of this Dask scheduler. Else they
     are local (`workers`); they stay for the next study, and an exception (also Ctrl-C) ends them. InputError if the
-    scheduler is silent.
+    address is none, distributed is not installed, or the scheduler is silent.
     """
     if address := os.environ.get("RAILREPRO_DASK"):
         with _cluster(address) as pool:
             yield pool
         return
-    if getattr(multiprocessing.current_process(), "_inheriting", False):
-        os._exit(1)  # a process of a study that reads a script without guard; `_ENDED` says what to do
     pool = _processes(workers())
     try:
         yield pool
     except BaseException:
         _processes.cache_clear()
-        processes = list((pool._processes or {}).values())
-        pool.shutdown(wait=False, cancel_futures=True)
-        for process in processes:
-            process.kill()
+        _kill(pool)
         raise
 
 
 @contextmanager
 def _cluster(address: str) -> Iterator[Executor]:
+    if not re.fullmatch(r"(tcp|tls|ucx|wss?)://[^/\s]+:\d+", address):
+        raise InputError(_NO_ADDRESS.format(address))
     try:
         from distributed import Client
-
+    except ImportError as error:
+        raise InputError(_NO_DASK.format(error)) from error
+    try:
         client = Client(address, timeout=10, set_as_default=False)
-    except (ImportError, OSError, ValueError) as error:
+    except (OSError, ValueError) as error:
         raise InputError(f"no Dask scheduler answers at RAILREPRO_DASK={address}: {error}") from error
     with client:
         yield client.get_executor(pure=False, retries=0)
 
 
-@lru_cache
-def _processes(workers: int) -> ProcessPoolExecutor:
+def _pool(workers: int) -> ProcessPoolExecutor:
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        os._exit(1)  # a process of a study that reads a script without guard; `_ENDED` says what to do
     context = multiprocessing.get_context("spawn")
     return ProcessPoolExecutor(workers, mp_context=context, initializer=_follow_the_parent)
+
+
+_processes = lru_cache(_pool)
+
+
+def _kill(pool: ProcessPoolExecutor) -> None:
+    processes = list((pool._processes or {}).values())
+    pool.shutdown(wait=False, cancel_futures=True)
+    for process in processes:
+        process.kill()
+
+
+@contextmanager
+def _pools(apart: bool) -> Iterator[list[Executor]]:
+    """Context manager of the executors of the threads of a study, one for each thread."""
+    if apart and not os.environ.get("RAILREPRO_DASK"):
+        own = [_pool(1) for _ in range(workers())]
+        try:
+            yield [*own]
+        finally:
+            for pool in own:
+                _kill(pool)
+        return
+    with executor() as shared:
+        cluster = getattr(shared, "_client", None)
+        processes = max(len(cluster.ncores()), 1) if cluster else getattr(shared, "_max_workers", 1)
+        yield 2 * processes * [shared]  # so that each process finds its next run waiting
 
 
 def _follow_the_parent() -> None:
@@ -111,15 +142,17 @@ def _follow_the_parent() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def ordered_map(task: Callable, arguments: Sequence, title: str, quiet: bool = False) -> list:
+def ordered_map(task: Callable, arguments: Sequence, title: str, quiet: bool = False, apart: bool = False) -> list:
     """Call `task` with each of `arguments` in parallel; returns the results in the order of the arguments.
 
     Each call has a thread of its own; the processes of `executor` compute what it hands to `work`. A few tasks, and all
-    of them where there is one process, are computed here. `title` names the progress bar, `quiet` leaves it out. A task
-    must not call `ordered_map`. InputError when a process ended or imported another version of railrepro.
+    of them where there is one process, are computed here. With `apart` they are not: each thread has a local process of
+    its own, for code that may end its process or never come back, and all of these end with the study. `title` names
+    the progress bar, `quiet` leaves it out. A task must not call `ordered_map`. InputError when a process ended or
+    imported another version of railrepro.
     """
     assert not hasattr(_around, "pool"), "a task would wait for itself"
-    local = not os.environ.get("RAILREPRO_DASK") and not _processes.cache_info().currsize
+    local = not apart and not os.environ.get("RAILREPRO_DASK") and not _processes.cache_info().currsize
     if local and (len(arguments) <= _FEW or workers() == 1):
         return [task(argument) for argument in tqdm(arguments, title, leave=False, disable=quiet, delay=2.0)]
 
@@ -127,31 +160,31 @@ def ordered_map(task: Callable, arguments: Sequence, title: str, quiet: bool = F
         with _turn:
             return task(argument)
 
-    with executor() as pool:
-        cluster = getattr(pool, "_client", None)
-        processes = max(len(cluster.ncores()), 1) if cluster else getattr(pool, "_max_workers", 1)
-        count = 2 * processes  # so that each process finds its next run waiting
-        threads = ThreadPoolExecutor(count, initializer=setattr, initargs=(_around, "pool", pool))
+    with _pools(apart) as pools:
+        threads = ThreadPoolExecutor(len(pools), initializer=lambda: setattr(_around, "pool", pools.pop()))
         try:
             futures = [threads.submit(called, argument) for argument in arguments]
             for done in tqdm(as_completed(futures), title, len(futures), leave=False, disable=quiet):
                 done.result()
             return [future.result() for future in futures]
         except (BrokenExecutor, CancelledError) as error:
-            raise InputError(_LOST if cluster else _ENDED) from error
+            raise InputError(_LOST if os.environ.get("RAILREPRO_DASK") else _ENDED) from error
         finally:
             threads.shutdown(wait=False, cancel_futures=True)
 
 
-def work(function: Callable, *arguments):
-    """Return `function(*arguments)`; in a task of `ordered_map` a process of `executor` computes it, else this one."""
+def work(function: Callable, *arguments, limit: float | None = None):
+    """Return `function(*arguments)`; in a task of `ordered_map` a process of `executor` computes it, else this one.
+
+    In a task TimeoutError after `limit` seconds, and BrokenExecutor when the process ended.
+    """
     pool = getattr(_around, "pool", None)
     if pool is None:
         return function(*arguments)
     future = pool.submit(_checked, _code(function), function, *arguments)
     _turn.release()  # others run while this one waits
     try:
-        return future.result()
+        return future.result(limit)
     finally:
         _turn.acquire()
 

@@ -5,8 +5,12 @@ Source: Kennedy and Eberhart 1995; constriction factor after Clerc and Kennedy 2
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+import numbers
+import reprlib
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -80,13 +84,16 @@ class Swarm:
     def _values(self, position: np.ndarray) -> dict[str, float]:
         return {d.name: d.value(x) for d, x in zip(self.dimensions, position, strict=True)}
 
-    def tell(self, costs: list[float]) -> None:
-        """Take the costs of the parameter sets of the last `ask`, in their order, and move the particles."""
-        costs = np.where(np.isfinite(costs), costs, np.inf)
-        for i, (values, cost) in enumerate(zip(self.ask(), costs, strict=True)):
+    def tell(self, costs: Sequence[float]) -> None:
+        """Take the costs of the parameter sets of the last `ask`, in their order, and move the particles.
+
+        A cost of inf or NaN is worst. InputError for -inf, for what is no number, and for another number of costs.
+        """
+        checked = self._checked(costs)
+        for i, (values, cost) in enumerate(zip(self.ask(), checked, strict=True)):
             self.rows.append({"iteration": self.iteration, "particle": i, "cost": float(cost), **values})
-        better = costs < self.own_cost
-        self.own_cost = np.where(better, costs, self.own_cost)
+        better = checked < self.own_cost
+        self.own_cost = np.where(better, checked, self.own_cost)
         self.own_position[better] = self.position[better]
         self.iteration += 1
         leader, n = self.own_position[np.argmin(self.own_cost)], len(self.dimensions)
@@ -100,6 +107,15 @@ class Swarm:
         moved = np.where(low, -moved, np.where(high, 2 - moved, moved))
         self.velocity = np.where(low | high, -0.5 * self.velocity, self.velocity)
         self.position = np.clip(moved, 0, 1)
+
+    def _checked(self, costs: Any) -> np.ndarray:
+        """Costs as an array, inf where one is not finite."""
+        values, particles = list(costs) if isinstance(costs, Iterable) else [costs], len(self.position)
+        wrong = [value for value in values if not isinstance(value, numbers.Real) or value == -math.inf]
+        if wrong or len(values) != particles:
+            given = reprlib.repr(wrong[0]) if wrong else f"{len(values)} costs"
+            raise InputError(f"swarm: the cost function gave {given}, {particles} numbers above -inf are needed")
+        return np.where(np.isfinite(values), values, np.inf)
 
     @property
     def limits(self) -> list[float]:
@@ -141,7 +157,8 @@ def minimise(
 ) -> Swarm:
     """Minimise a cost by a particle swarm; returns the swarm with its `best` set, `cost` and `history`.
 
-    It ends after `iterations` moves of all particles, or when it is `stagnant`.
+    It ends after `iterations` moves of all particles, or when it is `stagnant`. InputError when the cost function gave
+    no finite cost at all, or what is no list of costs (see `Swarm.tell`).
 
     Args:
         evaluate (callable): Takes a parameter set (dict) and a limit (`Swarm.limits`) per particle, as two lists, and
@@ -162,4 +179,6 @@ def minimise(
             swarm.tell(evaluate(swarm.ask(), swarm.limits))
             bar.set_postfix_str(f"best cost {swarm.cost:.4f}")
             bar.update()
+    if not math.isfinite(swarm.cost):
+        raise InputError(f"swarm: none of its {len(swarm.rows)} parameter sets has a finite cost, so that none is best")
     return swarm

@@ -30,6 +30,7 @@ FAULTS = {
     "no python": ("this is no code", "own.py: SyntaxError: invalid syntax (own.py, line 1)"),
     "throws at import": ("x = 1\nraise ValueError('no\\n  reason')\n", "own.py, line 2: ValueError: no reason"),
     "exits at import": ("import sys\nsys.exit(3)\n", "own.py, line 2: SystemExit: 3"),
+    "throws what is no Exception": ("raise GeneratorExit('no')", "own.py, line 1: GeneratorExit: no"),
     "two classes": (SLOW.format("return 0.0") + LAW.format("return 0"), "found ['Mine', 'Own']"),
     "throws": (SLOW.format("return 1 / 0"), "own.py, line 7: ZeroDivisionError: division by zero"),
     "law without its symbol": (LAW.format("return q.height"), "own.py, line 4: lateral law Own: torque() asks for"),
@@ -56,6 +57,26 @@ def test_a_fault_is_a_line_and_no_points(what, tmp_path):
     row = drive(file, replace(short("equal"), plant={"contact.profile": "cone"}))  # no flange holds it
     assert said in row["failure"] and "\n" not in row["failure"]
     assert benchmark.points(row | ENDS) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (SLOW.format("__import__('ctypes').string_at(0)"), "its run curve_T3 in the setting equal ended its process"),
+        ("while True:\n    pass", "its run curve_T3 in the setting equal was given up after 3 s"),
+        (SLOW.format("raise KeyboardInterrupt"), "line 7: KeyboardInterrupt"),
+    ],
+    ids=["crash", "endless", "interrupt"],
+)
+def test_a_file_harms_nothing_but_its_own_process(text, said, tmp_path, monkeypatch, capfd):
+    monkeypatch.setenv("RAILREPRO_WORKERS", "1")
+    monkeypatch.setattr(benchmark, "LIMIT", 3.0 if "while" in text else 600.0)
+    file = tmp_path / "own.py"
+    file.write_text(text)
+    assert command.main(["score", str(file)]) == 1
+    first, *rest = capfd.readouterr().err.splitlines()
+    assert first.startswith(f"{file}: its code runs as you")
+    assert len(rest) == 1 and rest[0].startswith("error: own.py") and said in rest[0]
 
 
 def test_the_template_is_driven_with_the_numbers_of_its_setting():

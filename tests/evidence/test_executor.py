@@ -93,6 +93,20 @@ def test_a_killed_worker_is_told_in_one_sentence_and_the_next_study_has_others(m
     assert ordered_map(partial(work, abs), [0, -1], "again", quiet=True) == [0, 1]
 
 
+def test_a_study_apart_has_processes_of_its_own_which_end_with_it(monkeypatch):
+    """For code that may end its process or never come back."""
+    monkeypatch.setattr(executors, "_FEW", 9)
+    monkeypatch.setenv("RAILREPRO_WORKERS", "2")
+    before = set(psutil.Process().children(recursive=True))
+    others = ordered_map(partial(work, process), [0, 1], "apart", quiet=True, apart=True)
+    assert os.getpid() not in others
+    for function, fault in ((partial(work, time.sleep, limit=1), TimeoutError), (partial(work, os._exit), InputError)):
+        with pytest.raises(fault):
+            ordered_map(function, [300], "apart", quiet=True, apart=True)
+    left = set(psutil.Process().children(recursive=True)) - before
+    assert not [one for one in psutil.wait_procs(left, timeout=60)[1] if "spawn_main" in " ".join(one.cmdline())]
+
+
 def test_workers_of_other_code_are_refused(monkeypatch):
     """As those that start after an edit."""
     monkeypatch.setenv("RAILREPRO_WORKERS", "2")
@@ -120,7 +134,7 @@ import os, time
 from functools import partial
 from railrepro.studies.executor import ordered_map, work
 def hold(_):
-    print(os.getpid(), flush=True)
+    os.write(1, f"{os.getpid()}\\n".encode())
     time.sleep(600)
 if __name__ == "__main__":
     ordered_map(partial(work, hold), range(5), "hold", quiet=True)
@@ -149,4 +163,7 @@ def test_a_study_runs_on_a_dask_cluster(monkeypatch):
         assert os.getpid() not in ordered_map(partial(work, process), range(4), "elsewhere", quiet=True)
     monkeypatch.setenv("RAILREPRO_DASK", "tcp://127.0.0.1:1")
     with pytest.raises(InputError, match="no Dask scheduler answers at RAILREPRO_DASK"), executor():
+        pass
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(InputError, match="the package distributed is needed"), executor():
         pass

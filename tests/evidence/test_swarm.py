@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from railrepro.data import InputError
 from railrepro.tuning.swarm import Dimension, Swarm, minimise
 
 
@@ -31,6 +32,27 @@ def test_failures_count_as_worst_and_never_lead():
     swarm = Swarm(BOX, 6, seed=0)
     swarm.tell([np.nan, np.inf, 3.0, 2.0, 1.0, np.nan])
     assert swarm.cost == 1.0
+
+
+@pytest.mark.parametrize(
+    ("costs", "said"),
+    [
+        ([np.inf, np.nan], "none of its 4 parameter sets has a finite cost"),
+        ([1.0, -np.inf], "gave -inf, 2 numbers above -inf are needed"),
+        ([1.0, None], "gave None, 2 numbers"),
+        (["1.0", 1.0], "gave '1.0', 2 numbers"),
+        ([1.0], "gave 1 costs, 2 numbers"),
+        (None, "gave None, 2 numbers"),
+    ],
+)
+def test_costs_that_rank_no_set_are_refused(costs, said):
+    with pytest.raises(InputError, match=said):
+        minimise(lambda sets, limits: costs, BOX, 2, 2, seed=0)
+
+
+def test_a_swarm_may_begin_without_a_finite_cost():
+    costs = iter([[np.inf, np.inf], np.array([3, np.inf])])
+    assert minimise(lambda sets, limits: next(costs), BOX, 2, 2, seed=0).cost == 3.0
 
 
 def test_a_stagnant_swarm_stops_early():

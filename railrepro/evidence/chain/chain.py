@@ -318,14 +318,14 @@ def figures(names: Sequence[str] = ()) -> int:
     """Command `figures`: run those notebooks among `names` that are stale, in parallel (up to four, one per core).
 
     `names` are names of notebooks or figures, or their beginnings, as "fig06"; empty takes all. InputError when nothing
-    begins with a name. Returns 1 when a notebook failed, else 0.
+    begins with a name, or a name is blank. Returns 1 when a notebook failed, else 0.
     """
     notebooks = chain()
     wanted = set() if names else set(notebooks)
     for name in names:
         found = {n.name for n in notebooks.values() if any(one.startswith(name) for one in (n.name, *n.figures))}
-        if not found:
-            raise InputError(f"no notebook or figure of chain.toml begins with {name!r}")
+        if not found or not name:
+            raise InputError(f"{name!r} begins the name of no notebook or figure of chain.toml, such as 06 or fig06")
         wanted |= found
     paths.BUILD.mkdir(exist_ok=True)
     with alone(paths.BUILD / "chain.lock"):

@@ -10,6 +10,7 @@ from railrepro.simulation.scenarios import Scenario
 from railrepro.studies.experiment import Experiment, run_all
 from railrepro.tuning import sets
 
+_COLUMNS = dict.fromkeys(("scenario", "controller", "variant", "warnings"), str) | {"rmse_y": float, "effort_du": float}
 _TRIPLED = 2
 """Change of the error from which a run is lost."""
 
@@ -22,11 +23,10 @@ def model_variants(scenarios: Sequence[Scenario], variants: Sequence[str]) -> pd
     """
     changed = {variant: {"variant": variant} for variant in variants} | {"D10": {"yielding": False}}
     tried = [(s, v) for s in scenarios for v in variants] + [(s, "D10") for s in scenarios]
-    table, _ = run_all([
+    return _table([
         Experiment(s, "nmpc", {"variant": v}, options={"solver": "rti"}, changes=changed[v], setting="equal")
         for s, v in tried
     ], "discrepancies")  # fmt: skip
-    return table.assign(flange=table["warnings"].str.contains("flange|lifts"))
 
 
 def linearisations(scenarios: Sequence[Scenario]) -> pd.DataFrame:
@@ -36,11 +36,17 @@ def linearisations(scenarios: Sequence[Scenario]) -> pd.DataFrame:
     scenario, controller and flange (whether a wheel touched its flange or lifted).
     """
     weights = sets.load("nmpc", "equal")["parameters"]
-    table, _ = run_all([
+    return _table([
         Experiment(s, controller, parameters=weights)
         for s in scenarios for controller in ("nmpc", "ltv_mpc", "ltv_mpc_printed")
     ], "LTV against NMPC")  # fmt: skip
-    return table.assign(flange=table["warnings"].str.contains("flange|lifts"))
+
+
+def _table(experiments: list[Experiment], title: str) -> pd.DataFrame:
+    """Rows of `run_all` with the column flange; without experiments a table that has its columns but no row."""
+    table, _ = run_all(experiments, title)
+    table = table if experiments else pd.DataFrame(columns=list(_COLUMNS)).astype(_COLUMNS)
+    return table.assign(flange=table["warnings"].str.contains("flange|lifts").astype(bool))
 
 
 def effects(variants: pd.DataFrame, linear: pd.DataFrame) -> pd.DataFrame:
