@@ -56,7 +56,7 @@ MODEL = {
     "gamma": ("rad/m", "roll angle per lateral displacement"),
     "tan_delta": ("-", "slope of the wheel's cone"),
     "m_x_eff": ("kg", "effective longitudinal mass"),
-    "tau_max": ("N m", "torque limit"),
+    "tau_max": ("N m", "torque limit of a motor at this speed; the base torque yields to du"),
 }
 """Inputs of a 1 kHz law about the nominal vehicle: unit and meaning by name."""
 
