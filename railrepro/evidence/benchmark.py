@@ -342,8 +342,8 @@ def ranking(cards: pd.DataFrame) -> pd.DataFrame:
     mean = cards.pivot_table(index="controller", columns=["metric", "setting"], values="value")
     columns = {"ranked": totals.mean(), "spread": totals.std(), EQUAL: mean["score", EQUAL], LOOP: mean["score", LOOP]}
     columns |= {"margins": mean[MARGINS].mean(axis=1), "runs failed": mean["failures"].sum(axis=1)}
-    columns |= {f"{name} (mm), loop": 1e3 * mean[name, LOOP] for name in ("error", "limit")}
-    columns["torque (N m), loop"] = mean["effort_du", LOOP]
+    columns |= {f"{name} (mm), loop": 1e3 * mean.get((name, LOOP), np.nan) for name in ("error", "limit")}
+    columns["torque (N m), loop"] = mean.get(("effort_du", LOOP), np.nan)
     return pd.DataFrame(columns).sort_values("ranked", ascending=False, kind="stable")
 
 

@@ -175,9 +175,10 @@ def test_ranked_seeds_of_a_file_follow_from_its_content(tmp_path):
     assert benchmark.ranked_seeds("nmpc") == benchmark.RANKED
 
 
-def test_an_entry_has_version_seeds_and_points_and_can_be_repeated(tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("metrics", [{"error": 2e-3, "effort_du": 5.0}, {}], ids=["driven", "all runs raised"])
+def test_an_entry_has_version_seeds_and_points_and_can_be_repeated(metrics, tmp_path, monkeypatch, capsys):
     def quick(of, seeds):
-        head = {"controller": of.name, "scenario": "a", "failure": "", "error": 2e-3, "limit": 1e-3, "effort_du": 5.0}
+        head = {"controller": of.name, "scenario": "a", "failure": "", "limit": 1e-3} | metrics
         every = product(seeds, ("equal", "loop"), ("a", "margins"))
         rows = [dict(zip(("seed", "setting", "group"), each, strict=True)) for each in every]
         return pd.DataFrame([head | row | {"points": float(row["seed"] % 50)} for row in rows])
