@@ -69,8 +69,8 @@ lab: $(VENV)  ## open the chapters in JupyterLab; LAB="--no-browser --ip=0.0.0.0
 	$(PY) -m jupyterlab --notebook-dir=. --LabApp.default_url="/lab/tree/notebooks/00_first_run.ipynb?file-browser-path=/" \
 	  --LanguageServerManager.autodetect=False $(if $(filter 0,$(shell id -u)),--allow-root) $(LAB)
 
-score: $(VENV)  ## score a controller: CONTROLLER=path/to/mine.py or a registered name, SEED=n another random seed
-	$(PY) -m railrepro score "$(or $(CONTROLLER),examples/pid.py)" $(if $(SEED),--seed $(SEED))
+score: $(VENV)  ## score a controller: CONTROLLER=path/to/mine.py or a registered name, SEED=n another random seed, RANKED=1 its entry for the leaderboard
+	$(PY) -m railrepro score "$(or $(CONTROLLER),examples/pid.py)" $(if $(SEED),--seed $(SEED)) $(if $(RANKED),--ranked)
 
 # Commands of the library under their own names.
 leaderboard: $(VENV)  ## score all registered controllers and those of examples/ (long)
@@ -86,6 +86,7 @@ leaderboard tune verify report release html live:
 bench: $(VENV)  ## measure speed, as ratios in one run; with the group `bench` also the car in Exudyn (half an hour)
 	$(PY) -m railrepro bench
 	$(PY) tests/validation/peers.py
+	$(PY) tests/validation/quadratic_problems.py
 	$(PY) tests/validation/published.py
 	@if $(PY) -c "import exudyn" 2>/dev/null; then $(PY) tests/validation/second_opinion.py && \
 	  $(PY) tests/validation/second_plant.py; else echo "no second car: \`make test-extras\` installs Exudyn"; fi

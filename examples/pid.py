@@ -4,6 +4,8 @@
 gear, track and nominal vehicle is listed in railrepro/control/lateral.py.
 """
 
+import casadi as ca
+
 PERIOD = 1e-3  # s
 
 
@@ -29,4 +31,5 @@ class PID:
         turning = q.yaw_rate - v * q.dpsi_dp  # rad/s, against the track
         jerk = w**3 * (error + q.share * w * q.integral) + 3 * w**2 * rate - 3 * w * v * turning
         du = q.r_0 / q.b * q.J_eff * jerk / v  # N m
-        return du, {"integral": q.integral + PERIOD * error}
+        free = ca.fabs(du) < q.tau_max  # at the limit of the motor the integral rests, or it would wind up
+        return du, {"integral": q.integral + ca.if_else(free, PERIOD * error, 0)}

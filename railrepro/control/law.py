@@ -174,7 +174,7 @@ def control_law(
         sensors (Readings, optional): Sensors and latencies between car and controllers; default none.
         lateral_limit (float): A run ends when |lateral displacement| of a gear exceeds it (m).
         track_end (float): A run ends when the front gear reaches this track coordinate (m).
-        stop_speed (float): A run ends when the speed of the front gear falls below it (m/s).
+        stop_speed (float): A run ends when the speed of the front gear falls to it (m/s).
     """
     require("fixed_share", fixed_share, _SHARE)
     if sensors is not None:

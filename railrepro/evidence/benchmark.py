@@ -12,14 +12,17 @@ shifting force over its limit; e, T, A of the front gear. With q = 1 / (1 + J), 
 
 q_0 of a car without guidance in the same run (0 where that derails), q_l of the limit (`ends_of_the_scale`). A run that
 fails has no points. The runs with more delay or a slower drive count as one. The score is the mean over runs, and then
-over settings. A seed draws sensors, irregularities and cars; the published one is for development.
+over settings. A seed draws sensors, irregularities and cars; the published one is for development, and a file is ranked
+by seeds that follow from its own content (`ranked_seeds`).
 """
 
 from __future__ import annotations
 
+import hashlib
 import multiprocessing
 import runpy
 import sys
+import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
@@ -31,7 +34,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from railrepro import data, paths
+from railrepro import __version__, data, paths
 from railrepro.control import lateral
 from railrepro.control.registry import CONTROLLERS, EQUAL, LOOP, NOTHING, SHOWN, Controller
 from railrepro.data import InputError
@@ -55,7 +58,10 @@ MISMATCH += ("suspension.c_x", "suspension.k_y", "drive.lag")
 MARGINS = "margins"
 """Group of the runs with more delay or a slower drive, which count as one together."""
 PUBLISHED, RANKED = 1001, (1277232150, 1310670857, 1121027952, 785067208, 1683094607)
-"""Seeds of noise, irregularities and cars: for development, and those whose mean ranks the leaderboard."""
+"""Seeds of noise, irregularities and cars: for development, and those whose mean ranks the entries of this project,
+none of which was tuned on them."""
+_SALT = b"railrepro benchmark 3"
+"""Goes before the content of a file whose seeds are drawn; a new suite of runs gets another one."""
 ALL = "all"
 """Scenario, and setting, of the rows that sum up."""
 LEADERBOARD = "data/results/leaderboard.csv"
@@ -132,6 +138,15 @@ def entry(controller: str) -> str | Path:
     if not file.is_file():
         raise InputError(f"controller {controller!r} is neither a file nor a registered controller; there are {known}")
     return file.resolve()
+
+
+def ranked_seeds(of: str | Path) -> tuple[int, ...]:
+    """Seeds that rank a controller of `entry`: `RANKED` for a registered name; for a file as many that follow from its
+    SHA-256, so that nobody knows them before the last change. Ends of lines do not count."""
+    if isinstance(of, str):
+        return RANKED
+    digest = hashlib.sha256(_SALT + of.read_bytes().replace(b"\r\n", b"\n")).digest()
+    return tuple(int.from_bytes(digest[4 * i : 4 * i + 4], "big") // 2 for i in range(len(RANKED)))
 
 
 def name_of(of: str | Path | type) -> str:
@@ -348,8 +363,8 @@ def ranking(cards: pd.DataFrame) -> pd.DataFrame:
     mean = cards.pivot_table(index="controller", columns=["metric", "setting"], values="value")
     columns = {"ranked": totals.mean(), "spread": totals.std(), EQUAL: mean["score", EQUAL], LOOP: mean["score", LOOP]}
     columns |= {"margins": mean[MARGINS].mean(axis=1), "runs failed": mean["failures"].sum(axis=1)}
-    columns |= {f"{name} (mm), loop": 1e3 * mean[name, LOOP] for name in ("error", "limit")}
-    columns["torque (N m), loop"] = mean["effort_du", LOOP]
+    columns |= {f"{name} (mm), loop": 1e3 * mean.get((name, LOOP), np.nan) for name in ("error", "limit")}
+    columns["torque (N m), loop"] = mean.get(("effort_du", LOOP), np.nan)
     return pd.DataFrame(columns).sort_values("ranked", ascending=False, kind="stable")
 
 
@@ -365,15 +380,19 @@ def tuning_cost(own: type, setting: str, runs: Sequence[str]) -> Callable[[list[
     return lambda sets, limits: [evaluate(name, chosen, *pair)[0] for pair in zip(sets, limits, strict=True)]
 
 
-def main(controller: str, seed: int | None = None) -> None:
+def main(controller: str, seed: int | None = None, ranked: bool = False) -> None:
     """Command `score`: score a controller with one seed, print its `card` and write its table to build/score.
 
-    `controller` is a registered name or a Python file, `seed` is `PUBLISHED` by default. A file runs in processes of
-    its own, but with all rights of the user, which is said before it starts. InputError when not a single run gives
-    metrics, and as from `drive`.
+    `controller` is a registered name or a Python file, `seed` is `PUBLISHED` by default. With `ranked` the seeds are
+    those of `ranked_seeds`, and what is printed is its entry in the leaderboard. A file runs in processes of its own,
+    but with all rights of the user, which is said before it starts. InputError when not a single run gives metrics, and
+    as from `drive`.
     """
-    of, seed = entry(controller), PUBLISHED if seed is None else seed
+    if ranked and seed is not None:
+        raise InputError("score: a seed and --ranked exclude each other, as ranked seeds follow from the file")
+    of, seed, begin = entry(controller), PUBLISHED if seed is None else seed, time.perf_counter()
     data.require("seed", seed, data.between(0, 2**31), whole=True)
+    seeds = ranked_seeds(of) if ranked else (seed,)
     if isinstance(of, Path):
         words = "its code runs as you, with all your rights; score only what you would run yourself"
         print(f"{of}: {words}", file=sys.stderr, flush=True)
@@ -381,13 +400,18 @@ def main(controller: str, seed: int | None = None) -> None:
     for row in _drive_all(of, [replace(first, scenario=short) for first in cases(seed, ["curve_T3"])], "check", True):
         if "rmse_y" not in row:
             raise InputError(row["failure"])
-    table = score(of, [seed])
-    file = paths.BUILD / f"score/{name_of(of)}-{seed}.csv"
+    table = score(of, seeds)
+    file = paths.BUILD / f"score/{name_of(of)}-{'ranked' if ranked else seed}.csv"
     units = {name: f"{name} ({unit})" for name, unit in METRICS.items()}
     data.write(file, table.rename(columns=units).to_csv(index=False, float_format="%.6g"))
     for _, row in table[table["failure"] != ""].iterrows():
         print(f"failed: {row['scenario']} in the setting {row['setting']}: {row['failure']}")
     sums = card(table)
+    if ranked:
+        line = {"version": __version__, "seeds": " ".join(map(str, seeds))} | ranking(sums).round(2).iloc[0].to_dict()
+        print("\n".join([name_of(of), *(f"{key:24}{value}" for key, value in line.items())]))
+        print(f"written: {file}; it took {time.perf_counter() - begin:.0f} s")
+        return
     print(sums.pivot_table(index=["metric", "unit"], columns="setting", values="value", sort=False).to_string())
     print(f"score over both settings: {sums[sums['setting'] == ALL]['value'].item():.1f} of 100")
     print(f"seed {seed}; written: {file}")

@@ -139,6 +139,7 @@ _ARGUMENTS: list[tuple[str, str, dict]] = [
                            "a filled data/answers.toml"}),
     ("score", "controller", {"help": "a Python file with one controller class, or a registered name"}),
     ("score", "--seed", {"type": int, "help": "a different random seed of noise, rails and cars"}),
+    ("score", "--ranked", {"action": "store_true", "help": "the five seeds that follow from the content of the file"}),
 ]  # fmt: skip
 """Command, name of an argument, options of `add_argument`."""
 

@@ -96,8 +96,8 @@ class Scenario:
         name, paper (str): Name of the entry; figure or section of the paper.
         track (str): Name in data/tracks.toml, or path of a CSV for `railrepro.track.table.read_table`.
         speed_kmh (float): Initial speed (km/h).
-        end_m, stop_kmh (float): The run ends when the front gear reaches `end_m` (m) or is slower than `stop_kmh`
-            (km/h).
+        end_m, stop_kmh (float): The run ends when the front gear reaches `end_m` (m), or its speed falls to `stop_kmh`
+            (km/h), without which it ends when the car stands.
         good, poor (str): Names of the two adhesion sets of the vehicle.
         poor_share (tuple of pairs): Points (p (m), share of the set `poor` (0 to 1)), linear in between, for both
             rails.
@@ -132,8 +132,8 @@ class Scenario:
 
     @property
     def stop_speed(self) -> float:
-        """Speed below which the run ends (m/s). Without `stop_kmh` it is -1, which no run falls below."""
-        return -1.0 if self.stop_kmh is None else self.stop_kmh / 3.6
+        """Speed at which the run ends (m/s). Without `stop_kmh` it is 0: standstill."""
+        return (self.stop_kmh or 0.0) / 3.6
 
     @property
     def poor_shares(self) -> tuple[tuple, tuple]:

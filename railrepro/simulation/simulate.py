@@ -222,7 +222,8 @@ def _reason(loop: ClosedLoop, series: pd.DataFrame) -> tuple[str, bool]:
     if passed.endswith(".lateral"):
         gear = passed.removesuffix(".lateral")
         return f"{gear} gear derailed, |y| = {1e3 * abs(last[f'{gear}.y']):.1f} mm {at}", True
-    reasons = {"track_end": "end of the run", "stop_speed": "stop speed reached"}
+    stopped = "stop speed reached" if last["front.v"] > 0 else "the car stands"
+    reasons = {"track_end": "end of the run", "stop_speed": stopped}
     return f"{reasons.get(passed, 'time limit reached')} {at}", False
 
 

@@ -1,6 +1,7 @@
 """Guidance laws: own ones at 1 kHz and slower ones, refusals, and the inversion against the control model."""
 
 import re
+import runpy
 from types import SimpleNamespace
 
 import casadi as ca
@@ -132,14 +133,30 @@ def test_the_inversion_gives_the_control_model_the_error_dynamics(speed, base_to
     assert found == pytest.approx(expected, rel=tolerance)
 
 
+def of_the_guide(pole):
+    """The integral law of the guide with a pole (rad/s)."""
+    text = (paths.NOTEBOOKS / "book/adding.md").read_text()
+    names = {}
+    exec(re.search(r"```python\n(.*?)scenario =", text, re.DOTALL)[1], names)
+    return names["StateFeedback"](pole)
+
+
+INTEGRAL_LAWS = {
+    "NDI": lambda pole: NDI(pole, pole, 1.0, integral=0.1),
+    "guide": of_the_guide,
+    "examples/pid.py": lambda pole: runpy.run_path(str(paths.ROOT / "examples/pid.py"))["PID"](pole),
+}
+
+
+@pytest.mark.parametrize("law", INTEGRAL_LAWS)
 @pytest.mark.parametrize(("share", "grows"), [(0.9, 1), (1.1, 0), (-0.9, 1), (-1.1, 0)])
-def test_the_integral_rests_while_the_error_asks_for_more_torque_than_there_is(share, grows):
+def test_the_integral_rests_while_the_error_asks_for_more_torque_than_there_is(share, grows, law):
     """On the straight a triple pole p asks for the jerk p^3 e, which takes the torque r_0/b J p^3 e/v."""
     pole, speed, inertia = 20.0, 30.0, 2000.0 + 60.0 * 1.5**2 / 2 / 0.46**2
     error = share * 4000.0 * 1.5 / 0.46 * speed / (inertia * pole**3)
     model = dict.fromkeys(lateral.MODEL, 0.0) | {"J_eff": inertia, "r_0": 0.46, "b": 1.5, "tau_max": 4000.0}
     here = dict.fromkeys((*lateral.GEAR, *lateral.ROAD), 0.0) | {"v": speed, "y": -error}
-    guidance = NDI(pole, pole, 1.0, integral=0.1)
+    guidance = INTEGRAL_LAWS[law](pole)
     du, memory = guidance.torque(SimpleNamespace(**here, **model, **guidance.gains(), integral=0.0))
     assert float(du) == pytest.approx(share * 4000.0)
     assert float(memory["integral"]) == pytest.approx(1e-3 * error * grows)

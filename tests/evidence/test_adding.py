@@ -80,7 +80,9 @@ def run(folder, program, text):
 def test_what_is_added_works(copy):
     page = (paths.NOTEBOOKS / "book/adding.md").read_text()
     *_, example, slower = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
-    (copy / "railrepro/control/own.py").write_text(example[example.index("class") : example.index("scenario =")])
+    (copy / "railrepro/control/own.py").write_text(
+        "import casadi as ca\n\n\n" + example[example.index("class") : example.index("scenario =")]
+    )
     registry = copy / "railrepro/control/registry.py"
     insert(registry, "from railrepro.control.own import StateFeedback\n", "from railrepro.control.problem")
     insert(registry, CONTROLLER, "INVERSIONS = ")

@@ -1,13 +1,15 @@
 """The benchmark: a stranger's fault is a line of its own, points follow their formula, a seed draws what it should."""
 
 from dataclasses import replace
+from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from railrepro import __main__ as command
-from railrepro import paths
+from railrepro import __version__, paths
 from railrepro.evidence import benchmark
 from railrepro.evidence.benchmark import NOTHING, cases, drive, entry, known
 from railrepro.track.route import INDEX, Route
@@ -183,3 +185,37 @@ def test_a_score_writes_its_card_and_what_cannot_be_driven_is_one_sentence(tmp_p
     assert set(table["seed"]) == {5} and set(table["setting"]) == {"equal", "loop"}
     assert np.isfinite(table["points"]).all() and (table["failure"].isna()).all()
     assert "score over both settings" in capsys.readouterr().out
+
+
+def test_ranked_seeds_of_a_file_follow_from_its_content(tmp_path):
+    text, files = Path(PID).read_bytes(), [tmp_path / f"{name}.py" for name in ("one", "same", "windows", "other")]
+    windows = text.replace(b"\n", b"\r\n")
+    for file, content in zip(files, (text, text, windows, text.replace(b"20.0", b"20.1")), strict=True):
+        file.write_bytes(content)
+    one, same, windows, other = map(benchmark.ranked_seeds, files)
+    assert one == same == windows and not set(one) & {*other, *benchmark.RANKED, benchmark.PUBLISHED}
+    assert len(set(one)) == 5 == len(set(other)) and min(one) >= 0 and 2**28 < max(one) < 2**31
+    assert benchmark.ranked_seeds("nmpc") == benchmark.RANKED
+
+
+@pytest.mark.parametrize("metrics", [{"error": 2e-3, "effort_du": 5.0}, {}], ids=["driven", "all runs raised"])
+def test_an_entry_has_version_seeds_and_points_and_can_be_repeated(metrics, tmp_path, monkeypatch, capsys):
+    def quick(of, seeds):
+        head = {"controller": of.name, "scenario": "a", "failure": "", "limit": 1e-3} | metrics
+        every = product(seeds, ("equal", "loop"), ("a", "margins"))
+        rows = [dict(zip(("seed", "setting", "group"), each, strict=True)) for each in every]
+        return pd.DataFrame([head | row | {"points": float(row["seed"] % 50)} for row in rows])
+
+    monkeypatch.setattr(paths, "BUILD", tmp_path)
+    monkeypatch.setattr(benchmark, "score", quick)
+    seeds, said = benchmark.ranked_seeds(Path(PID)), []
+    for _ in range(2):
+        assert command.main(["score", PID, "--ranked"]) == 0
+        name, *lines, last = capsys.readouterr().out.splitlines()
+        said.append(lines)
+    assert name == "pid.py" and last.startswith("written: ") and said[0] == said[1]
+    found = {line[:24].strip(): line[24:] for line in said[0]}
+    assert found["version"] == __version__ and found["seeds"] == " ".join(map(str, seeds))
+    assert float(found["ranked"]) == pytest.approx(np.mean([seed % 50 for seed in seeds]), abs=0.01)
+    assert set(pd.read_csv(tmp_path / "score/pid.py-ranked.csv")["seed"]) == set(seeds)
+    assert command.main(["score", PID, "--ranked", "--seed", "5"]) == 1
