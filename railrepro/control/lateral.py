@@ -77,7 +77,7 @@ class Quantities(GearInputs, TrackInputs, ModelInputs):
     """Argument `q` of `LateralLaw.torque`: scalar CasADi symbols (SI). Besides the attributes below there is one for
     each state in the law's `memory` and for each of its gains."""
 
-    tau_max: Annotated[Scalar, "N m", "torque limit"]
+    tau_max: Annotated[Scalar, "N m", "torque limit of a motor at this speed; the base torque yields to du"]
 
     def __init__(self, known: Mapping[str, ca.SX]):
         vars(self).update(known)
