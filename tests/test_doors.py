@@ -30,10 +30,11 @@ def git(*arguments, cwd=paths.ROOT):
 
 @pytest.fixture
 def open_folder(tmp_path):
-    """A folder that other users reach, too; pytest makes its own for one user."""
+    """A folder that other users reach, too, as pytest's own are for one user; an environment in it, 1 GB, is removed."""
     for folder in (tmp_path, *tmp_path.parents[:2]):
         folder.chmod(0o755)
-    return tmp_path
+    yield tmp_path
+    shutil.rmtree(tmp_path)
 
 
 @pytest.fixture
