@@ -30,7 +30,7 @@ def git(*arguments, cwd=paths.ROOT):
 
 @pytest.fixture
 def open_folder(tmp_path):
-    """A folder that other users reach, too, as pytest's own are for one user; an environment in it, 1 GB, is removed."""
+    """A folder that other users reach, too; it is removed with its environment of 1 GB."""
     for folder in (tmp_path, *tmp_path.parents[:2]):
         folder.chmod(0o755)
     yield tmp_path
