@@ -12,6 +12,17 @@ export JUPYTER_CONFIG_DIR := $(CURDIR)/build/jupyter/config
 export JUPYTER_DATA_DIR := $(CURDIR)/build/jupyter/data
 # Without stored byte code each of some hundred processes would compile the libraries that it imports, for seconds.
 unexport JUPYTER_PATH PYTHONPATH PYTHONDONTWRITEBYTECODE
+# A user's settings of pip and uv say where packages come from; how other packages are installed does not reach .venv.
+SOURCES := %_INDEX %_INDEX_URL %_CACHE_DIR %_CERT %_CERTS %_TLS %_PROXY %_HOST %_OFFLINE %_TIMEOUT %_RETRIES \
+  %_FIND_LINKS %_CONFIG_FILE %_KEYRING_PROVIDER %_LINK_MODE UV_INDEX_% UV_CONCURRENT_%
+unexport $(filter-out $(SOURCES),$(filter PIP_% UV_%,$(.VARIABLES)))
+export PIP_USER := 0
+# uv's cache, where the home cannot be written, as that of a user of a container or of a laboratory.
+ifndef UV_CACHE_DIR
+  ifneq ($(shell d="$${XDG_CACHE_HOME:-$$HOME/.cache}/uv"; mkdir -p "$$d" 2>/dev/null; test -w "$$d" && echo yes),yes)
+    export UV_CACHE_DIR := $(CURDIR)/build/uv
+  endif
+endif
 
 # What make starts ends with it, also when only make is killed.
 ifndef RAILREPRO_LEADER

@@ -23,7 +23,7 @@ def test_products_appear_once_and_again_when_deleted_or_changed(tiny, capfd):
     assert product.read_text() == "a\n1\n"
     manifest = (tiny / "data/MANIFEST.csv").read_text()
     assert "data/results/out.csv" in manifest and "01_tiny" in manifest
-    assert "01_tiny: done; 0 left" in capfd.readouterr().err
+    assert re.search(r"^01_tiny: done in \S+ min with \S+ GB; 0 left$", capfd.readouterr().err, re.M)
     children = psutil.Process().children(recursive=True)
     assert not [one for one in children if "ipykernel_launcher" in one.cmdline()], "a kernel ends with its notebook"
     (tiny / "data/MANIFEST.csv").write_text("path,sha256,made_by,inputs_sha256,seed\ndata/old.csv,0,01_tiny,0,\n")
@@ -54,6 +54,15 @@ def test_failures_name_the_place_and_leave_the_old_product(tiny, last, sentence)
         chain.refresh(chain.chain()["01_tiny"])
     assert (tiny / "build/notebooks/01_tiny.failed.ipynb").exists()
     assert (tiny / "data/results/out.csv").read_text() == "a\n1\n"
+
+
+def test_the_memory_of_a_notebook_is_that_of_its_kernel_and_of_what_that_starts(tiny):
+    child = "hog = bytearray(3 * 10**8); hog[::4096] = b'x' * len(hog[::4096]); import time; time.sleep(1)"
+    started = f"import subprocess, sys\nsubprocess.run([sys.executable, '-c', {child!r}])"
+    write_notebook(tiny / "notebooks", [CELLS[0], CELLS[1], CELLS[2], started])
+    ran = chain.refresh(chain.chain()["01_tiny"])
+    assert 0.35 < ran.memory_gb < 0.8 and ran.minutes > 1 / 60
+    assert chain.last_run(chain.chain()["01_tiny"])["memory_gb"] == ran.memory_gb
 
 
 ENTRY = '[[notebook]]\nname = "{0}"\ntitle = "x"\nwrites = ["data/{1}"]\n'

@@ -9,6 +9,7 @@ import yaml
 
 import railrepro
 from railrepro import FACADE, __version__, paths
+from railrepro.evidence.chain import chain
 from railrepro.evidence.report import claims
 from railrepro.evidence.report import page as page_
 
@@ -32,8 +33,23 @@ def test_the_committed_report_is_that_of_the_tables(table, tmp_path, monkeypatch
     monkeypatch.setenv("RAILREPRO_OUTPUT", str(tmp_path))
     monkeypatch.setattr(claims, "evaluate", lambda _: table)
     assert page_.main() == 0
-    for file in ("data/results/claims.csv", "REPLICATION.md", "figures/README.md", "README.md"):
+    for file in ("data/results/claims.csv", "REPLICATION.md", "figures/README.md", "codecheck.yml", "README.md"):
         assert (tmp_path / file).read_bytes() == (paths.ROOT / file).read_bytes()
+
+
+def test_codecheck_lists_the_products_of_all_chapters():
+    listed = yaml.safe_load((paths.ROOT / "codecheck.yml").read_text())
+    products = [product for notebook in chain.chain().values() for product in notebook.products]
+    assert sorted(entry["file"] for entry in listed["manifest"]) == sorted(products)
+    assert listed["paper"]["title"] == yaml.safe_load((paths.ROOT / "CITATION.cff").read_text())["title"]
+
+
+def test_the_modules_that_carry_the_results_have_about_the_lines_that_referees_are_told():
+    rows = re.findall(r"^\| (`.*\.py`) \| (\d+) \|", (paths.ROOT / "CONTRIBUTING.md").read_text(), re.M)
+    assert len(rows) > 8
+    for files, lines in rows:
+        texts = [(paths.ROOT / "railrepro" / file).read_text() for file in re.findall(r"`(.+?)`", files)]
+        assert sum(text.count("\n") for text in texts) == pytest.approx(int(lines), rel=0.25), files
 
 
 def test_the_first_program_draws_and_prints_the_numbers_of_the_table(monkeypatch, tmp_path):

@@ -13,13 +13,15 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
 import time
 import tomllib
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import suppress
 from dataclasses import field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 from railrepro import code, data, numerics, paths
 from railrepro.data import InputError, Number, above, alone, between, scratch, write
@@ -41,7 +43,8 @@ class Notebook:
 
     `name` is its file name without ending, `writes` the paths of its tables, `figures` the names of its figures
     (figNN_name). `parameters` are the values of its parameters cell, `test_parameters` those in tests. `minutes` is its
-    run time (min), `seed` the random seed that it uses (None if it uses none).
+    run time (min), `memory_gb` the peak memory of its processes (GB, None if it was not measured), `seed` the random
+    seed that it uses (None if it uses none).
     """
 
     name: data.Name
@@ -51,6 +54,7 @@ class Notebook:
     parameters: dict[str, data.Free] = field(default_factory=dict)
     test_parameters: dict[str, data.Free] = field(default_factory=dict)
     minutes: Annotated[Number, above(0.0, 1e4, "min")] = 1.0
+    memory_gb: Annotated[Number, above(0.0, 1e3, "GB")] | None = None
     seed: Annotated[int, between(0, 2**63)] | None = None
 
     @property
@@ -72,6 +76,14 @@ class Notebook:
     def stamp(self) -> Path:
         """Path of the record of the notebook's last successful run, see `last_run`."""
         return paths.BUILD / "stamps" / f"{self.name}.json"
+
+
+class Ran(NamedTuple):
+    """What a run of a notebook read, how long it took (min), and the peak memory of its processes (GB)."""
+
+    reads: Reads
+    minutes: float
+    memory_gb: float
 
 
 @data.table
@@ -142,7 +154,7 @@ def last_run(notebook: Notebook) -> dict[str, dict]:
     """Record of the last successful run of a notebook in this checkout; {} if there is none.
 
     Keys: reads (files and entries that it read, `Reads`), inputs (their state then, see `inputs`), machine
-    (`store.machine`), products (path of each written file -> SHA-256).
+    (`store.machine`), products (path of each written file -> SHA-256), minutes and memory_gb as in `Ran`.
     """
     try:
         return data.read(notebook.stamp)
@@ -192,13 +204,39 @@ def _kernel(staging: Path) -> type:
     return Kernel
 
 
-def _execute(notebook: Notebook, parameters: dict, staging: Path) -> tuple[Any, str]:
-    """Run a notebook with papermill; its content with outputs, and what failed or ""."""
+class _Memory(threading.Thread):
+    """Samples the memory of the kernel of a notebook and of all processes that it starts until `join`.
+
+    `peak` is the largest sum (bytes). Pages that processes share count in each of them, so the sum is an upper bound.
+    """
+
+    def __init__(self, staging: Path):
+        super().__init__(daemon=True)
+        self.peak, self._folder, self._ended = 0, str(staging), threading.Event()
+        self.start()
+
+    def run(self) -> None:
+        import psutil
+
+        while not self._ended.wait(0.2):
+            with suppress(psutil.Error):  # a process may end meanwhile
+                for kernel in psutil.Process().children():
+                    if any(self._folder in argument for argument in kernel.cmdline()):
+                        tree = [kernel, *kernel.children(recursive=True)]
+                        self.peak = max(self.peak, sum(process.memory_info().rss for process in tree))
+
+    def join(self, timeout: float | None = None) -> None:
+        self._ended.set()
+        super().join(timeout)
+
+
+def _execute(notebook: Notebook, parameters: dict, staging: Path) -> tuple[Any, str, int]:
+    """Run a notebook with papermill; its content with outputs, what failed or "", and its peak memory (bytes)."""
     import nbformat
     import papermill
 
     logging.getLogger("papermill").setLevel(logging.CRITICAL)  # what fails is said in one sentence
-    output, failure = staging / "executed.ipynb", ""
+    output, failure, memory = staging / "executed.ipynb", "", _Memory(staging)
     try:
         # a busy machine may let a kernel wait: without these limits it is given up after 4 s and outputs are lost
         papermill.execute_notebook(
@@ -209,12 +247,14 @@ def _execute(notebook: Notebook, parameters: dict, staging: Path) -> tuple[Any, 
         failure = f"cell {error.exec_count} failed with {error.ename}: {error.evalue}".splitlines()[0]
     except (RuntimeError, TimeoutError) as error:
         failure = f"its kernel did not start or ended before its time ({str(error).partition(chr(10))[0]})"
+    finally:
+        memory.join()
     content = nbformat.read(output if output.exists() else notebook.path, 4)
     _make_deterministic(content)
     for i, cell in enumerate(content.cells, 1):
         if not failure and cell.cell_type == "code" and cell.source.strip() and cell.execution_count is None:
             failure = f"cell {i} was not executed"  # after sys.exit(0) in another one
-    return content, failure
+    return content, failure, memory.peak
 
 
 def _make_deterministic(content: Any) -> None:
@@ -229,7 +269,7 @@ def _make_deterministic(content: Any) -> None:
             cell.outputs = [output for output in cell.outputs if output.get("name") != "stderr"]
 
 
-def run(notebook: Notebook, parameters: dict, root: Path) -> Reads:
+def run(notebook: Notebook, parameters: dict, root: Path) -> Ran:
     """Execute a notebook and move the files that it writes, its products, below `root`.
 
     The executed notebook goes to build/notebooks, for a root other than the checkout to root/notebooks, a failed one as
@@ -241,7 +281,7 @@ def run(notebook: Notebook, parameters: dict, root: Path) -> Reads:
         root (Path): Folder for data/ and figures/ that it writes; TOML files in root/data replace those of data/.
 
     Returns:
-        dict: Path of each file of data/ and figures/ that it read -> names of the entries taken from it, see `Reads`.
+        Ran: What it read of data/ and figures/, its time and memory.
 
     Raises:
         InputError: When a cell fails, a product was not written, a product of another notebook was read, or a sentence
@@ -249,12 +289,13 @@ def run(notebook: Notebook, parameters: dict, root: Path) -> Reads:
     """
     import nbformat
 
+    begin = time.monotonic()
     with scratch() as staging:
         if root != paths.ROOT:
             (staging / "data").mkdir()
             for file in (root / "data").glob("*.toml"):
                 shutil.copy2(file, staging / "data")
-        content, failure = _execute(notebook, parameters, staging)
+        content, failure, memory = _execute(notebook, parameters, staging)
         taken = _taken(staging / "reads", notebook)
         committed = not failure and _is_committed(notebook, parameters, taken, root)
         failure = failure or _fault(notebook, taken, staging, false_in(content.cells) if committed else [])
@@ -266,7 +307,7 @@ def run(notebook: Notebook, parameters: dict, root: Path) -> Reads:
             raise InputError(f"{notebook.name}: {failure} (kept {kept})")
         for product in notebook.products:
             write(root / product, (staging / product).read_bytes())
-    return taken
+    return Ran(taken, round((time.monotonic() - begin) / 60, 2), round(memory / 1e9, 2))
 
 
 def _taken(log: Path, notebook: Notebook) -> Reads:
@@ -302,16 +343,18 @@ def _fault(notebook: Notebook, taken: Reads, staging: Path, false: list[str]) ->
     return ""
 
 
-def refresh(notebook: Notebook) -> None:
+def refresh(notebook: Notebook) -> Ran:
     """Run a notebook (errors as `run`), record it for `last_run`; it stays stale if an input was edited meanwhile."""
     begin, own = time.time(), inputs(notebook, {})
-    taken = run(notebook, notebook.parameters, paths.ROOT)
+    ran = run(notebook, notebook.parameters, paths.ROOT)
+    taken = ran.reads
     found = inputs(chain()[notebook.name], taken)
     files = [paths.ROOT / file for file in taken]
     edited = any(file.is_file() and file.stat().st_mtime > begin for file in files) or not own.items() <= found.items()
     found |= {EDITED: ""} if edited or not code.unchanged() else {}
-    stamp = {"reads": taken, "inputs": found, "machine": store.machine(), "products": _products(notebook)}
+    stamp = ran._asdict() | {"inputs": found, "machine": store.machine(), "products": _products(notebook)}
     write(notebook.stamp, json.dumps(stamp, indent=1))
+    return ran
 
 
 def figures(names: Sequence[str] = ()) -> int:
@@ -341,7 +384,7 @@ def figures(names: Sequence[str] = ()) -> int:
     return int(bool(failed))
 
 
-def _run_all(names: Collection[str], task: Callable[[Notebook], object]) -> dict[str, str]:
+def _run_all(names: Collection[str], task: Callable[[Notebook], Ran]) -> dict[str, str]:
     """Call `task` with notebooks side by side; returns name -> message of those that failed, which stop no other."""
     notebooks = sorted((n for n in chain().values() if n.name in names), key=lambda n: -n.minutes)  # longest first
     left = {notebook.name: notebook.minutes for notebook in notebooks}
@@ -350,9 +393,9 @@ def _run_all(names: Collection[str], task: Callable[[Notebook], object]) -> dict
     os.environ.setdefault("RAILREPRO_WORKERS", str(max(1, processors // jobs)))  # of the studies of each
     failed: dict[str, str] = {}
 
-    def one(notebook: Notebook) -> None:
+    def one(notebook: Notebook) -> Ran:
         _say(f"{notebook.name}: running, about {notebook.minutes:.1f} min")
-        task(notebook)
+        return task(notebook)
 
     pool = ThreadPoolExecutor(jobs)
     futures = {pool.submit(one, notebook): notebook.name for notebook in notebooks}
@@ -364,7 +407,11 @@ def _run_all(names: Collection[str], task: Callable[[Notebook], object]) -> dict
                 failed[name] = str(error) if isinstance(error, InputError) else f"{name}: {error!r}"
                 _say(f"error: {failed[name]}")
             else:
-                _say(f"{name}: done; {len(left)} left" + f", about {sum(left.values()) / jobs:.1f} min" * bool(left))
+                ran = future.result()
+                _say(
+                    f"{name}: done in {ran.minutes} min with {ran.memory_gb} GB; {len(left)} left"
+                    + f", about {sum(left.values()) / jobs:.1f} min" * bool(left)
+                )
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
     return failed

@@ -1,4 +1,4 @@
-"""The report: REPLICATION.md, figures/README.md and the results in README.md, rendered from Jinja templates in data/.
+"""The report: REPLICATION.md, figures/README.md, codecheck.yml and the results in README.md, from templates in data/.
 
 data/theses.toml has sentences with the conditions under which they are true. A number in them is an expression such as
 `{{ q('paper', 'braking', 'ndi', 'stopping_distance', 'm') }}`, shown as a link to its table. Expressions may use the
@@ -54,7 +54,7 @@ def theses() -> dict[str, Thesis]:
 
 
 def main() -> int:
-    """Command `report`: judge the statements and write claims.csv, REPLICATION.md, figures/README.md, README.md.
+    """Command `report`: judge the statements; write claims.csv and the texts, which are made of the templates in data/.
 
     Returns 1 when a sentence of data/theses.toml is not true, else 0.
     """
@@ -63,6 +63,7 @@ def main() -> int:
     write(paths.product(claims.FILE), page.contract().to_csv(index=False, float_format="%.4g"))
     write(paths.product("REPLICATION.md"), page.replication())
     write(paths.product("figures/README.md"), page.gallery())
+    write(paths.product("codecheck.yml"), page.codecheck())
     write(paths.product("README.md"), page.readme(paths.source("README.md").read_text(encoding="utf-8")))
     print(page.judged.groupby(["setting", "judged"], sort=False).size().to_string())
     refuted = page.refuted()
@@ -113,15 +114,22 @@ class Page:
 
     def replication(self) -> str:
         """Text of REPLICATION.md."""
-        verify = data.read(paths.NOTEBOOKS / "chain.toml")["verify"]
-        template = self._jinja.get_template("replication.md.j2")
-        text = template.render(verify=verify, questions=flips.load().values())
+        text = self._render("replication.md.j2", questions=flips.load().values())
         return "## ".join(_linked_once(section) for section in text.split("## "))
 
     def gallery(self) -> str:
         """Text of figures/README.md (Markdown): the figures of each chapter of the book with their captions."""
-        chapters, captions = (data.read(paths.NOTEBOOKS / name) for name in ("chain.toml", "book/captions.toml"))
-        return self._jinja.get_template("gallery.md.j2").render(chapters=chapters["notebook"], captions=captions)
+        return self._render("gallery.md.j2")
+
+    def codecheck(self) -> str:
+        """Text of codecheck.yml: figures and tables of each chapter, as a CODECHECK (codecheck.org.uk) wants them."""
+        return self._render("codecheck.yml.j2")
+
+    def _render(self, template: str, **more) -> str:
+        """A template that has the chain of notebooks (`chapters`, `verify`) and the captions of figures."""
+        chain, captions = (data.read(paths.NOTEBOOKS / name) for name in ("chain.toml", "book/captions.toml"))
+        own = {"chapters": chain["notebook"], "verify": chain["verify"], "captions": captions}
+        return self._jinja.get_template(template).render(own | more)
 
     def readme(self, text: str) -> str:
         """The old `text` of README.md with new results between the lines `BEGIN` and `END`; ValueError without them."""
