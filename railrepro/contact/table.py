@@ -13,7 +13,7 @@ the paper's eqs. (10), (11) (cone) and section Simulation Environment.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 import pandas as pd
@@ -55,11 +55,15 @@ class ContactTable:
     frame: pd.DataFrame
 
     def cells(self) -> np.ndarray:
-        """Coefficients to interpolate between the n rows of `frame`, with columns `CELL_COLUMNS` (SI).
+        """Coefficients to interpolate between the n rows of `frame`, with columns `CELL_COLUMNS` (SI); made once.
 
         Shape (n - 1, columns): row i covers the shifts from row i to row i + 1 of `frame`. The effective radius is a
         cubic with continuous slope, all else is linear. Source: de Boor, A Practical Guide to Splines, ch. IV.
         """
+        return self._cells
+
+    @cached_property
+    def _cells(self) -> np.ndarray:
         quantities = {name.removesuffix("_m"): self.frame[name].to_numpy() for name in self.frame}
         shift, radius = quantities["shift"], quantities["effective_radius"]
         slope, h = np.tan(quantities["angle_rad"]), np.diff(shift)
@@ -74,7 +78,9 @@ class ContactTable:
         }
         for name in _LINEAR:
             columns |= {name: quantities[name][:-1], f"d{name}": np.diff(quantities[name]) / h}
-        return np.ascontiguousarray(np.array([columns[name] for name in CELL_COLUMNS]).T)
+        found = np.ascontiguousarray(np.array([columns[name] for name in CELL_COLUMNS]).T)
+        found.flags.writeable = False  # cars share it
+        return found
 
 
 def in_cell(cell: dict, offset) -> dict:

@@ -65,8 +65,10 @@ class LateralLaw(Protocol):
     """Lateral guidance law that is evaluated every millisecond: an object with a method `torque(q)`, which returns an
     expression (CasADi SX) of the quantities q.
 
-    Two members are optional. `memory` is a tuple with the names of its own states, which are separate for each gear and
-    start at 0. `gains()` returns a dict from name to value of numbers that can change without compiling again.
+    Three members are optional. `memory` is a tuple with the names of its own states, which are separate for each gear
+    and start at 0. `gains()` returns a dict from name to value of numbers that can change without compiling again. A
+    class whose body has `alike = True` states that `torque` depends on nothing but q: it is called once for all objects
+    of this class.
     """
 
     def torque(self, q: SimpleNamespace) -> ca.SX | tuple[ca.SX, dict[str, ca.SX]]:
@@ -112,6 +114,8 @@ Guidance = LateralLaw | Factory
 class ZeroOrderHold:
     """1 kHz law that holds the last differential torque of a slower controller."""
 
+    alike = True
+
     def torque(self, q: SimpleNamespace) -> ca.SX:
         """The last differential torque of the slower controller, `q.held` (N m); `q` as in `LateralLaw.torque`."""
         return q.held
@@ -151,6 +155,10 @@ class Signature:
     """Names of the states."""
 
 
+_alike: dict[tuple, Signature] = {}
+"""Signatures of classes whose objects are `alike`, see `LateralLaw`: the particles of a swarm differ in gains only."""
+
+
 def gains_of(law: LateralLaw) -> dict[str, float]:
     """Gains of a law as a dict from name to value, empty without gains. InputError when one is not a finite number."""
     gains = getattr(law, "gains", dict)
@@ -169,6 +177,9 @@ def signature(law: LateralLaw) -> Signature:
             the returned states are not those in `memory`; or the law uses a quantity or symbol that is not in `q`.
     """
     owner, memory, gains = _owner(law), tuple(getattr(law, "memory", ())), tuple(gains_of(law))
+    equations = type(law), getattr(type(law), "torque", None), memory, gains
+    if equations in _alike:
+        return _alike[equations]
     groups = {"gear": GEAR, "track": ROAD, "memory": memory, "gains": gains, "model": MODEL}
     vectors = {group: ca.SX.sym(group, len(names)) for group, names in groups.items()}
     known: dict[str, ca.SX] = {}
@@ -185,7 +196,10 @@ def signature(law: LateralLaw) -> Signature:
     function = ca.Function("lateral", list(vectors.values()), results, {"allow_free": True})
     if function.has_free():
         raise InputError(f"{owner}: the symbols {function.get_free()} are not given to torque()")
-    return Signature(function.serialize(), gains, memory)
+    found = Signature(function.serialize(), gains, memory)
+    if vars(type(law)).get("alike"):  # stated by the class itself: one that inherits it may have another torque
+        _alike[equations] = found
+    return found
 
 
 def _owner(law: LateralLaw) -> str:

@@ -74,7 +74,7 @@ class ClosedLoop:
         Returns an array with one row per cycle and the columns `columns` (SI), taken before the car advances. When a
         limit is reached, `ended` is True, and the last row and `state` are at the limit.
         """
-        blocks = [np.empty((0, len(self.columns)))]
+        blocks = []
         for first in range(0, n, _BLOCK):
             rows = np.empty((min(_BLOCK, n - first), len(self.columns)))
             count, address = ctypes.c_longlong(len(rows)), ctypes.c_void_p(rows.ctypes.data)
@@ -83,7 +83,7 @@ class ClosedLoop:
             blocks.append(rows[: done + 1])
             if self.ended:
                 break
-        return np.concatenate(blocks)
+        return blocks[0] if len(blocks) == 1 else np.concatenate([np.empty((0, len(self.columns))), *blocks])
 
     def connect(self, planners: Sequence[tuple[int, int]], every: int) -> None:
         """Register a slower controller for each gear, which `run` calls before the law every `every` cycles of 1 ms.

@@ -3,6 +3,8 @@ section Multi-Body Simulation Results."""
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pandas as pd
 import scipy
@@ -36,9 +38,10 @@ class Part:
 
     def __getattr__(self, name: str) -> np.ndarray:
         series, column = self._series, f"{self._of}.{name}"
-        if column not in series or series.empty or series[column].dtype.kind not in "iuf":
+        values = series[column].to_numpy() if column in series else np.array([])
+        if not values.size or values.dtype.kind not in "iuf":
             raise InputError(f"metrics: {column!r} is no column of numbers here, the series of a run is needed")
-        return series[column].to_numpy()
+        return values
 
 
 _OF_GEAR = {
@@ -107,8 +110,8 @@ def on_flange(series: pd.DataFrame) -> np.ndarray:
     """
     gears = [Part(series, gear) for gear in GEARS]
     aside = np.max([np.abs(gear.y - gear.rail_y) for gear in gears], axis=0) > FLANGEWAY
-    angles = series.filter(regex=r"_(ri|le)\.angle$")
-    return aside | (angles.abs() > FLANGE_ANGLE).to_numpy().any(axis=1)
+    angles = [np.abs(Part(series, wheel).angle) for wheel in WHEELS]
+    return aside | (np.array(angles) > FLANGE_ANGLE).any(axis=0)
 
 
 def reaches_flange(series: pd.DataFrame) -> bool:
@@ -154,9 +157,14 @@ def effort(series: pd.DataFrame, gear: str = "front") -> float:
 def activity(series: pd.DataFrame, gear: str = "front") -> float:
     """Root mean square of the components above 5 Hz of a gear's differential torque (N m): noise or a limit cycle. The
     high-pass is a Butterworth of fourth order, run forwards and backwards. `series` needs a row per ms."""
-    sections = scipy.signal.butter(4, ACTIVITY, "highpass", fs=1 / CONTROL_PERIOD, output="sos")
     du = Part(series, gear).du
-    return _rms(scipy.signal.sosfiltfilt(sections, du, padlen=min(100, du.size - 1)))
+    return _rms(scipy.signal.sosfiltfilt(_high_pass(), du, padlen=min(100, du.size - 1)))
+
+
+@cache
+def _high_pass() -> np.ndarray:
+    """Sections of the filter of `activity`."""
+    return scipy.signal.butter(4, ACTIVITY, "highpass", fs=1 / CONTROL_PERIOD, output="sos")
 
 
 def stopping_distance(series: pd.DataFrame) -> float:
