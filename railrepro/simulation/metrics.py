@@ -135,11 +135,11 @@ def delay(series: pd.DataFrame, gear: str = "front") -> float:
         return float("nan")
     most = min(600, grid.size // 2)
     lags = np.arange(-most, most + 1)
-    # Means, not sums: each lag has its own number of overlapping samples.
-    correlation = [
-        np.mean(y[max(lag, 0) : grid.size + min(lag, 0)] * reference[max(-lag, 0) : grid.size - max(lag, 0)])
+    products = (
+        y[max(lag, 0) : grid.size + min(lag, 0)] * reference[max(-lag, 0) : grid.size - max(lag, 0)]
         for lag in lags.tolist()
-    ]
+    )
+    correlation = [product.sum() / product.size for product in products]  # each lag has its own number of samples
     return float(step * lags[np.argmax(correlation)])
 
 
@@ -196,13 +196,13 @@ def summary(series: pd.DataFrame) -> dict[str, tuple[float, str]]:
 
 
 def adhesion_limit(speed: np.ndarray, share: np.ndarray, scenario: Scenario, vehicle: Vehicle) -> np.ndarray:
-    """Largest longitudinal adhesion that the rail allows (force over nominal wheel load, -), shape (n,).
+    """Largest longitudinal adhesion that the rail allows (force over nominal wheel load, -), in the shape of `share`.
 
     It is used for evaluation only; no controller knows it.
 
     Args:
         speed (ndarray, shape (n,)): Speed (m/s).
-        share (ndarray, shape (n,)): Share of the poor adhesion set, 0 to 1. The limit is linear in it.
+        share (ndarray, shape (…, n)): Share of the poor adhesion set, 0 to 1. The limit is linear in it.
         scenario (Scenario): Names of the good and the poor adhesion set.
         vehicle (Vehicle): Adhesion sets, wheel load and contact patch.
     """
@@ -235,7 +235,7 @@ def longitudinal(series: pd.DataFrame, scenario: Scenario, vehicle: Vehicle) -> 
     }
     if scenario.force_kN:
         shares = [np.interp(p, *np.transpose(points)) for points in scenario.poor_shares]
-        limit = np.mean([adhesion_limit(v, share, scenario, vehicle) for share in shares], axis=0)
+        limit = adhesion_limit(v, np.array(shares), scenario, vehicle).mean(axis=0)
         f = (Part(series, "front_le").adhesion + Part(series, "front_ri").adhesion) / 2
         f_star = front.f_star
         beyond = (np.abs(f_star) > limit) & moving

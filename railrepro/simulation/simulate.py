@@ -118,6 +118,7 @@ def run(
     require("vehicle", vehicle, Vehicle)
     require("plant_vehicle", body, Vehicle)
     route = scenario.route(irregularities, line) if route is None else route
+    require("route", route, Route)
     lateral_law, factory = lateral.split(guidance)
     controllers = _controllers(factory, vehicle, route) if factory else ()  # refused before the car is compiled
     loop = start(

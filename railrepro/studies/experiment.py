@@ -124,7 +124,7 @@ class Experiment:
         )
 
     def _surroundings(self) -> Surroundings:
-        """What the run reads besides its controller, made once for all runs with equal fields and unchanged files."""
+        """`Surroundings` of the run, made once for all runs with equal fields and unchanged files."""
         fields = tuple(getattr(self, name) for name in _AROUND)
         files = [*map(paths.source, _FILES), Path(self.scenario.track_file())]
         try:
@@ -195,13 +195,13 @@ class Experiment:
 
 
 class Surroundings(NamedTuple):
-    """What a run reads besides its controller. Runs of a study share it, so nothing of it may be changed.
+    """What surrounds the controller in a run. Runs of a study share it, so nothing of it may be changed.
 
     Attributes:
         believed, car (Vehicle): Parameters that the controllers assume, and those of the simulated car.
         route (Route): Track, rails and set point.
         sensors (Readings or None): Sensors between car and controllers.
-        digest (str or None): Hash of the values that all of it follows from; None for values that `store` does not take.
+        digest (str or None): Hash of the values that it follows from; None for a value that `store` does not take.
     """
 
     believed: Vehicle
@@ -228,7 +228,7 @@ def _made(of: Experiment) -> Surroundings:
     track = None if of.alignment else load_track(of.scenario.track_file())
     believed, car, route = load_vehicle(**of.vehicle), of.car(), of._route()
     route.cells.flags.writeable = False
-    read = [scenario, track and (track.table.to_numpy(), track.design_speed), of.alignment, believed, car]
+    read: list = [scenario, track and (track.table.to_numpy(), track.design_speed), of.alignment, believed, car]
     read += [of.rails(), of.preview, (of.sensors, sensors.load_loop()) if of.sensors else None]
     seen, digest = sensors.readings(**of.sensors) if of.sensors else None, None
     with suppress(TypeError):
