@@ -63,6 +63,7 @@ CHANGES = [
     {"sensors": {"seed": 1}},
     {"sensors": {"seed": 2}},
     {"irregular": {"seed": 1}},
+    {"irregular": {"seed": 1}, "preview": {"share": 0.5}},
     {"alignment": alignments()["T4"]},
     {"controller": "ndi_feedforward"},
     {"parameters": POLES},
