@@ -39,7 +39,7 @@ _DOTTED = re.compile(r"\brailrepro(?:\.\w+)+")
 
 def signature(file: str | os.PathLike) -> tuple[int, int] | None:
     """Size of a file and time of its last change (ns); None when there is no such file."""
-    with suppress(OSError):
+    with suppress(OSError, ValueError):
         status = os.stat(file)
         return status.st_size, status.st_mtime_ns
     return None

@@ -13,7 +13,7 @@ the paper's eqs. (10), (11) (cone) and section Simulation Environment.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, lru_cache
 
 import numpy as np
 import pandas as pd
@@ -55,32 +55,35 @@ class ContactTable:
     frame: pd.DataFrame
 
     def cells(self) -> np.ndarray:
-        """Coefficients to interpolate between the n rows of `frame`, with columns `CELL_COLUMNS` (SI); made once.
+        """Coefficients to interpolate between the n rows of `frame`, with columns `CELL_COLUMNS` (SI); read-only.
 
         Shape (n - 1, columns): row i covers the shifts from row i to row i + 1 of `frame`. The effective radius is a
         cubic with continuous slope, all else is linear. Source: de Boor, A Practical Guide to Splines, ch. IV.
         """
-        return self._cells
+        return _cells(tuple(self.frame), self.frame.to_numpy(dtype=float).T.tobytes())
 
-    @cached_property
-    def _cells(self) -> np.ndarray:
-        quantities = {name.removesuffix("_m"): self.frame[name].to_numpy() for name in self.frame}
-        shift, radius = quantities["shift"], quantities["effective_radius"]
-        slope, h = np.tan(quantities["angle_rad"]), np.diff(shift)
-        secant = np.diff(radius) / h
-        columns = {
-            "shift": shift[:-1],
-            "width": h,
-            "effective_radius": radius[:-1],
-            "radius_slope": slope[:-1],
-            "radius_square": (3 * secant - 2 * slope[:-1] - slope[1:]) / h,
-            "radius_cube": (slope[:-1] + slope[1:] - 2 * secant) / h**2,
-        }
-        for name in _LINEAR:
-            columns |= {name: quantities[name][:-1], f"d{name}": np.diff(quantities[name]) / h}
-        found = np.ascontiguousarray(np.array([columns[name] for name in CELL_COLUMNS]).T)
-        found.flags.writeable = False  # cars share it
-        return found
+
+@lru_cache(maxsize=16)
+def _cells(names: tuple[str, ...], content: bytes) -> np.ndarray:
+    """Cells of a table with these columns and their values one after the other: a frame may be edited."""
+    values = np.frombuffer(content).reshape(len(names), -1)
+    quantities = {name.removesuffix("_m"): column for name, column in zip(names, values, strict=True)}
+    shift, radius = quantities["shift"], quantities["effective_radius"]
+    slope, h = np.tan(quantities["angle_rad"]), np.diff(shift)
+    secant = np.diff(radius) / h
+    columns = {
+        "shift": shift[:-1],
+        "width": h,
+        "effective_radius": radius[:-1],
+        "radius_slope": slope[:-1],
+        "radius_square": (3 * secant - 2 * slope[:-1] - slope[1:]) / h,
+        "radius_cube": (slope[:-1] + slope[1:] - 2 * secant) / h**2,
+    }
+    for name in _LINEAR:
+        columns |= {name: quantities[name][:-1], f"d{name}": np.diff(quantities[name]) / h}
+    found = np.ascontiguousarray(np.array([columns[name] for name in CELL_COLUMNS]).T)
+    found.flags.writeable = False  # cars share it
+    return found
 
 
 def in_cell(cell: dict, offset) -> dict:
