@@ -8,9 +8,12 @@ pattern cuts it out, so that all versions of Python agree on it.
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import re
 import sys
+import time
+from collections.abc import Iterable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -34,9 +37,9 @@ _DOTTED = re.compile(r"\brailrepro(?:\.\w+)+")
 """A module in an import, or in a text that `pkgutil.resolve_name` imports when it is used."""
 
 
-def _signature(file: str) -> tuple[int, int] | None:
-    """Size and time of the last change (ns); None when there is no such file."""
-    with suppress(OSError):
+def signature(file: str | os.PathLike) -> tuple[int, int] | None:
+    """Size of a file and time of its last change (ns); None when there is no such file."""
+    with suppress(OSError, ValueError):
         status = os.stat(file)
         return status.st_size, status.st_mtime_ns
     return None
@@ -49,19 +52,22 @@ _FILES = {
     if name.endswith((".py", ".c", ".h"))
 }
 """Sources by their names from the package on."""
-_SIGNATURES = {file: _signature(file) for file in _FILES.values()}
+_SIGNATURES = {file: signature(file) for file in _FILES.values()}
 _BYTES = {name: Path(file).read_bytes() for name, file in sorted(_FILES.items())}
-_edited = False
+_edited, _looked = False, -math.inf
 
 
-def unchanged() -> bool:
+def unchanged(within: float = 0.0) -> bool:
     """Whether no source file has changed in size or time since this process imported the package.
 
     The first change prints a message to stderr. Once False the result stays False, even if the file is put back,
-    because a module may have been imported in between.
+    because a module may have been imported in between. A check counts for the next `within` seconds.
     """
-    global _edited
-    if not _edited and any(_signature(file) != signature for file, signature in _SIGNATURES.items()):
+    global _edited, _looked
+    if _edited or time.monotonic() - _looked < within:
+        return not _edited
+    _looked = time.monotonic()
+    if any(signature(file) != before for file, before in _SIGNATURES.items()):
         _edited = True
         print(
             "railrepro was edited after this process imported it: nothing is read from its caches or stored there; "
@@ -142,11 +148,23 @@ def reached(*texts: str) -> dict[str, str]:
 
 
 @cache
+def reached_from(module: str) -> str:
+    """SHA-256 over all files of this package that a module can reach, without those in `DRAWING`, as imported."""
+    found = reached(f"from {module} import {module}").items()
+    return _joined(file_hash for file_hash in found if file_hash[0] not in DRAWING)
+
+
+def _joined(hashes: Iterable[tuple[str, str]]) -> str:
+    """SHA-256 over names of files and their hashes."""
+    return hashlib.sha256("\n".join(map(" ".join, hashes)).encode()).hexdigest()
+
+
+@cache
 def version() -> str:
     """SHA-256 over the sources of this package by which a run is computed; the same on all machines. It is the state
     at import. Before using it as the key of a cache, check `unchanged`."""
-    lines = [f"{name} {_source_hash(name)}" for name in _BYTES if not name.startswith(_ABOVE) and name not in DRAWING]
-    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+    names = [name for name in _BYTES if not name.startswith(_ABOVE) and name not in DRAWING]
+    return _joined((name, _source_hash(name)) for name in names)
 
 
 @cache

@@ -13,7 +13,7 @@ the paper's eqs. (10), (11) (cone) and section Simulation Environment.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 import pandas as pd
@@ -55,7 +55,7 @@ class ContactTable:
     frame: pd.DataFrame
 
     def cells(self) -> np.ndarray:
-        """Coefficients to interpolate between the n rows of `frame`, with columns `CELL_COLUMNS` (SI).
+        """Coefficients to interpolate between the n rows of `frame`, with columns `CELL_COLUMNS` (SI); read-only.
 
         Shape (n - 1, columns): row i covers the shifts from row i to row i + 1 of `frame`. The effective radius is a
         cubic with continuous slope, all else is linear. Source: de Boor, A Practical Guide to Splines, ch. IV.
@@ -65,25 +65,37 @@ class ContactTable:
                 spaced from below to above 0.
         """
         require("contact table: frame", self.frame, pd.DataFrame)
-        given, quantities = {name.removesuffix("_m"): column for name, column in self.frame.items()}, {}
-        for name in ("shift", "effective_radius", "angle_rad", *_LINEAR):
-            quantities[name] = for_c(f"contact table: {name}", given.get(name), (len(self.frame),))
-        shift, radius = quantities["shift"], quantities["effective_radius"]
-        slope, h = np.tan(quantities["angle_rad"]), np.diff(shift)
-        if not (shift.size > 2 and shift[0] < 0 < shift[-1] and h[0] > 0 and np.ptp(h) <= 1e-6 * h[0]):
-            raise InputError("contact table: shift_m has to increase in equal steps from below to above 0")
-        secant = np.diff(radius) / h
-        columns = {
-            "shift": shift[:-1],
-            "width": h,
-            "effective_radius": radius[:-1],
-            "radius_slope": slope[:-1],
-            "radius_square": (3 * secant - 2 * slope[:-1] - slope[1:]) / h,
-            "radius_cube": (slope[:-1] + slope[1:] - 2 * secant) / h**2,
-        }
-        for name in _LINEAR:
-            columns |= {name: quantities[name][:-1], f"d{name}": np.diff(quantities[name]) / h}
-        return np.ascontiguousarray(np.array([columns[name] for name in CELL_COLUMNS]).T)
+        given = {name.removesuffix("_m"): column for name, column in self.frame.items()}
+        used = [for_c(f"contact table: {name}", given.get(name), (len(self.frame),)) for name in _USED]
+        return _cells(np.array(used).tobytes())
+
+
+_USED = ("shift", "effective_radius", "angle_rad", *_LINEAR)
+"""Columns of a contact table, without their unit, from which its cells follow."""
+
+
+@lru_cache(maxsize=16)
+def _cells(content: bytes) -> np.ndarray:
+    """Cells of a table whose columns `_USED` have these values one after the other: a frame may be edited."""
+    quantities = dict(zip(_USED, np.frombuffer(content).reshape(len(_USED), -1), strict=True))
+    shift, radius = quantities["shift"], quantities["effective_radius"]
+    slope, h = np.tan(quantities["angle_rad"]), np.diff(shift)
+    if not (shift.size > 2 and shift[0] < 0 < shift[-1] and h[0] > 0 and np.ptp(h) <= 1e-6 * h[0]):
+        raise InputError("contact table: shift_m has to increase in equal steps from below to above 0")
+    secant = np.diff(radius) / h
+    columns = {
+        "shift": shift[:-1],
+        "width": h,
+        "effective_radius": radius[:-1],
+        "radius_slope": slope[:-1],
+        "radius_square": (3 * secant - 2 * slope[:-1] - slope[1:]) / h,
+        "radius_cube": (slope[:-1] + slope[1:] - 2 * secant) / h**2,
+    }
+    for name in _LINEAR:
+        columns |= {name: quantities[name][:-1], f"d{name}": np.diff(quantities[name]) / h}
+    cells = np.ascontiguousarray(np.array([columns[name] for name in CELL_COLUMNS]).T)
+    cells.flags.writeable = False  # cars share it
+    return cells
 
 
 def in_cell(cell: dict, offset) -> dict:

@@ -95,7 +95,9 @@ class LateralLaw(Protocol):
 
     Three members are optional. `memory` is a tuple with the names of its own states, which are separate for each gear
     and start at 0. `gains()` returns a dict from name to value of numbers that can change without compiling again.
-    `ranges()` returns a dict from name to `data.Quantity`: in an exported law these gains stay within their ranges.
+    `ranges()` returns a dict from name to `data.Quantity`: in an exported law these gains stay within their ranges. A
+    class whose body has `alike = True` states that `torque` depends on nothing but q: it is called once for all objects
+    of this class.
     """
 
     def torque(self, q: Quantities) -> ca.SX | tuple[ca.SX, dict[str, ca.SX]]:
@@ -141,6 +143,8 @@ Guidance = LateralLaw | Factory
 @dataclass(frozen=True)
 class ZeroOrderHold:
     """1 kHz law that holds the last differential torque of a slower controller."""
+
+    alike = True
 
     def torque(self, q: Quantities) -> ca.SX:
         """The last differential torque of the slower controller, `q.held` (N m); `q` as in `LateralLaw.torque`."""
@@ -205,6 +209,10 @@ class Signature:
     """Names of the states."""
 
 
+_alike: dict[tuple, Signature] = {}
+"""Signatures of classes whose objects are `alike`, see `LateralLaw`: the particles of a swarm differ in gains only."""
+
+
 def gains_of(law: LateralLaw) -> dict[str, float]:
     """Gains of a law as a dict from name to value, empty without gains. InputError if not a dict of finite numbers."""
     gains = getattr(law, "gains", dict)
@@ -224,6 +232,9 @@ def signature(law: LateralLaw) -> Signature:
             the returned states are not those in `memory`; or the law uses a quantity or symbol that is not in `q`.
     """
     owner, memory, gains = _owner(law), tuple(getattr(law, "memory", ())), tuple(gains_of(law))
+    equations = type(law), getattr(type(law), "torque", None), memory, gains
+    if equations in _alike:
+        return _alike[equations]
     groups = {"gear": GEAR, "track": ROAD, "memory": memory, "gains": gains, "model": MODEL}
     vectors = {group: ca.SX.sym(group, len(entries)) for group, entries in groups.items()}
     known: dict[str, ca.SX] = {}
@@ -240,7 +251,10 @@ def signature(law: LateralLaw) -> Signature:
     function = ca.Function("lateral", list(vectors.values()), results, {"allow_free": True})
     if function.has_free():
         raise InputError(f"{owner}: the symbols {function.get_free()} are not given to torque()")
-    return Signature(function.serialize(), gains, memory)
+    found = Signature(function.serialize(), gains, memory)
+    if vars(type(law)).get("alike"):  # stated by the class itself: one that inherits it may have another torque
+        _alike[equations] = found
+    return found
 
 
 def _owner(law: LateralLaw) -> str:

@@ -34,6 +34,7 @@ class NDI:
     rates: bool = False
     """Whether the first three derivatives of the set point are fed forward; False is how the paper is read."""
 
+    alike = True
     memory = ("integral",)
     """Names of the states: integral of the lateral error y* - y (m s)."""
 

@@ -3,6 +3,8 @@ section Multi-Body Simulation Results."""
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pandas as pd
 import scipy
@@ -37,9 +39,10 @@ class Part:
 
     def __getattr__(self, name: str) -> np.ndarray:
         series, column = self._series, f"{self._of}.{name}"
-        if list(series).count(column) != 1 or series.empty or series[column].dtype.kind not in "iuf":
+        values = series[column].to_numpy() if column in series else np.array([])
+        if values.ndim != 1 or not values.size or values.dtype.kind not in "iuf":
             raise InputError(f"metrics: {column!r} is no column of numbers here, the series of a run is needed")
-        return series[column].to_numpy()
+        return values
 
 
 _OF_GEAR = {
@@ -108,8 +111,8 @@ def on_flange(series: pd.DataFrame) -> np.ndarray:
     """
     gears = [Part(series, gear) for gear in GEARS]
     aside = np.max([np.abs(gear.y - gear.rail_y) for gear in gears], axis=0) > FLANGEWAY
-    angles = series.filter(regex=r"_(ri|le)\.angle$")
-    return aside | (angles.abs() > FLANGE_ANGLE).to_numpy().any(axis=1)
+    angles = [np.abs(Part(series, wheel).angle) for wheel in WHEELS]
+    return aside | (np.array(angles) > FLANGE_ANGLE).any(axis=0)
 
 
 def reaches_flange(series: pd.DataFrame) -> bool:
@@ -133,11 +136,11 @@ def delay(series: pd.DataFrame, gear: str = "front") -> float:
         return float("nan")
     most = min(600, grid.size // 2)
     lags = np.arange(-most, most + 1)
-    # Means, not sums: each lag has its own number of overlapping samples.
-    correlation = [
-        np.mean(y[max(lag, 0) : grid.size + min(lag, 0)] * reference[max(-lag, 0) : grid.size - max(lag, 0)])
+    products = (
+        y[max(lag, 0) : grid.size + min(lag, 0)] * reference[max(-lag, 0) : grid.size - max(lag, 0)]
         for lag in lags.tolist()
-    ]
+    )
+    correlation = [product.sum() / product.size for product in products]  # each lag has its own number of samples
     return float(step * lags[np.argmax(correlation)])
 
 
@@ -155,9 +158,14 @@ def effort(series: pd.DataFrame, gear: str = "front") -> float:
 def activity(series: pd.DataFrame, gear: str = "front") -> float:
     """Root mean square of the components above 5 Hz of a gear's differential torque (N m): noise or a limit cycle. The
     high-pass is a Butterworth of fourth order, run forwards and backwards. `series` needs a row per ms."""
-    sections = scipy.signal.butter(4, ACTIVITY, "highpass", fs=1 / CONTROL_PERIOD, output="sos")
     du = Part(series, gear).du
-    return _rms(scipy.signal.sosfiltfilt(sections, du, padlen=min(100, du.size - 1)))
+    return _rms(scipy.signal.sosfiltfilt(_high_pass(), du, padlen=min(100, du.size - 1)))
+
+
+@cache
+def _high_pass() -> np.ndarray:
+    """Sections of the filter of `activity`."""
+    return scipy.signal.butter(4, ACTIVITY, "highpass", fs=1 / CONTROL_PERIOD, output="sos")
 
 
 def stopping_distance(series: pd.DataFrame) -> float:
@@ -189,13 +197,13 @@ def summary(series: pd.DataFrame) -> dict[str, tuple[float, str]]:
 
 
 def adhesion_limit(speed: np.ndarray, share: np.ndarray, scenario: Scenario, vehicle: Vehicle) -> np.ndarray:
-    """Largest longitudinal adhesion that the rail allows (force over nominal wheel load, -), shape (n,).
+    """Largest longitudinal adhesion that the rail allows (force over nominal wheel load, -), in the shape of `share`.
 
     It is used for evaluation only; no controller knows it.
 
     Args:
         speed (ndarray, shape (n,)): Speed (m/s).
-        share (ndarray, shape (n,)): Share of the poor adhesion set, 0 to 1. The limit is linear in it.
+        share (ndarray, shape (…, n)): Share of the poor adhesion set, 0 to 1. The limit is linear in it.
         scenario (Scenario): Names of the good and the poor adhesion set.
         vehicle (Vehicle): Adhesion sets, wheel load and contact patch.
     """
@@ -231,7 +239,7 @@ def longitudinal(series: pd.DataFrame, scenario: Scenario, vehicle: Vehicle) -> 
     }
     if scenario.force_kN:
         shares = [np.interp(p, *np.transpose(points)) for points in scenario.poor_shares]
-        limit = np.mean([adhesion_limit(v, share, scenario, vehicle) for share in shares], axis=0)
+        limit = adhesion_limit(v, np.array(shares), scenario, vehicle).mean(axis=0)
         f = (Part(series, "front_le").adhesion + Part(series, "front_ri").adhesion) / 2
         f_star = front.f_star
         beyond = (np.abs(f_star) > limit) & moving

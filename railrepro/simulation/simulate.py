@@ -9,6 +9,7 @@ import math
 import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -89,6 +90,7 @@ def run(
     sensors: Readings | None = None,
     irregularities: pd.DataFrame | None = None,
     line: tuple[np.ndarray, np.ndarray] | None = None,
+    route: Route | None = None,
     substeps: int = 1,
 ) -> Run:
     """Simulate the car with its controllers through a scenario.
@@ -103,6 +105,7 @@ def run(
         fixed_share (float): Share of the torque limit reserved for the differential torque (-), see `allocate`.
         sensors (Readings, optional): Sensors between car and controllers; default exact measurements.
         irregularities, line (optional): Irregular rails, planned set point; see `track.route.lay`; default none.
+        route (Route, optional): Route laid before; default `scenario.route(irregularities, line)`.
         substeps (int): Integration steps of the car per millisecond, see `SteppedCar`.
 
     Raises:
@@ -114,7 +117,8 @@ def run(
     require("scenario", scenario, Scenario)
     require("vehicle", vehicle, Vehicle)
     require("plant_vehicle", body, Vehicle)
-    route = scenario.route(irregularities, line)
+    route = scenario.route(irregularities, line) if route is None else route
+    require("route", route, Route)
     lateral_law, factory = lateral.split(guidance)
     component.compile_ahead()
     controllers = lateral.controllers(factory, vehicle, route) if factory else ()
@@ -124,14 +128,13 @@ def run(
     )  # fmt: skip
     longest = int(max(10.0, 10 * route.length / scenario.speed) / CONTROL_PERIOD)  # at a tenth of the speed
     log = _drive(loop, controllers, longest, sensors.loop if sensors else None)
-    finite = np.isfinite(log).all(axis=1)
-    if not finite.all():
-        log = log[: np.argmin(finite) + 1]
-    series = pd.DataFrame(log, columns=loop.columns)
-    series.insert(0, "t_s", np.arange(len(series)) * CONTROL_PERIOD)
-    ended, failed = _reason(loop, series)
-    if not finite.all():  # the run ends at such a row, which `ended` names
-        series = series[:-1]
+    finite = np.isfinite(log).all()
+    if not finite:  # the run ends at such a row, which `ended` names
+        log = log[: np.argmin(np.isfinite(log).all(axis=1)) + 1]
+    log = np.column_stack([np.arange(len(log)) * CONTROL_PERIOD, log])
+    series = pd.DataFrame(log, columns=_index(loop.columns), copy=False)
+    ended, failed = _reason(loop, dict(zip(series, log[-1].tolist(), strict=True)))
+    series = series if finite else series[:-1]
     memory = dict(zip(loop.control.signature.memory, loop.memory.tolist(), strict=True))
     return Run(series, ended, failed, _warnings(series, body), controllers, memory)
 
@@ -209,11 +212,16 @@ def _sample(controller: lateral.SlowController, gear: str, sensors: Loop | None,
     return sample
 
 
-def _reason(loop: ClosedLoop, series: pd.DataFrame) -> tuple[str, bool]:
-    """Why a run ended, and whether that is a failure."""
-    last = series.iloc[-1]
+@lru_cache
+def _index(columns: tuple[str, ...]) -> pd.Index:
+    """Columns of a series; pandas takes its time for one of text."""
+    return pd.Index(("t_s", *columns))
+
+
+def _reason(loop: ClosedLoop, last: dict[str, float]) -> tuple[str, bool]:
+    """Why a run ended with this row, and whether that is a failure."""
     at = f"at t = {last['t_s']:.3f} s, p = {last['front.p']:.1f} m"
-    broken = [name for name, value in last.items() if not np.isfinite(value)]
+    broken = [name for name, value in last.items() if not math.isfinite(value)]
     if broken:
         return f"{broken[0]} is not a finite number {at}", True
     passed = next((name for name, margin in loop.margins.items() if margin <= 0), "")

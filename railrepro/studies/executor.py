@@ -189,9 +189,9 @@ def work(function: Callable, *arguments, limit: float | None = None):
         _turn.acquire()
 
 
-def _code(function: Callable) -> tuple[str, dict[str, str]]:
-    """Code that this process imported, as far as a function can reach it."""
-    return code.version(), code.reached(f"from {function.__module__} import {function.__module__}")
+def _code(function: Callable) -> tuple[str, str]:
+    """Hashes of the code that this process imported, as far as a function can reach it."""
+    return code.version(), code.reached_from(function.__module__)
 
 
 def _checked(asked: tuple, function: Callable, *arguments):

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import inspect
 import json
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+import pickle
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from operator import call
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from railrepro import code, paths
 from railrepro.control import registry
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.data import InputError, require, scratch
@@ -23,7 +27,7 @@ from railrepro.studies import preview, store
 from railrepro.studies.executor import ordered_map, work
 from railrepro.track.alignment import Alignment
 from railrepro.track.rough import rough_track
-from railrepro.track.route import CELL
+from railrepro.track.route import CELL, Route
 from railrepro.track.table import build_table, load_track, write_table
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
@@ -100,35 +104,43 @@ class Experiment:
         allowed = [name for name in inspect.signature(preview.plan).parameters if name != "frame"]
         if unknown := sorted(set(self.preview) - set(allowed)):
             raise InputError(f"preview: {unknown[0]!r} is not known; there are {allowed}")
-        return _rails(self.scenario.end_m, json.dumps(self.irregular), json.dumps(self.preview))
+        changed = code.signature(paths.source("data/irregularities.toml"))
+        return _rails(self.scenario.end_m, json.dumps(self.irregular), json.dumps(self.preview), changed)
 
     def run(self) -> simulate.Run:
         """Simulate and return the whole run: series of both gears and why it ended. The store is not used."""
-        rough, line = self.rails()
-        with self._laid() as scenario:
-            return simulate.run(
-                scenario,
-                registry.guidance(self.controller, self.tuned(), self.options, **self.changes),
-                irregularities=rough,
-                line=line,
-                sensors=sensors.readings(**self.sensors) if self.sensors else None,
-                substeps=1 + bool(self.ride and self.irregular) if self.substeps is None else self.substeps,
-                vehicle=load_vehicle(**self.vehicle),
-                plant_vehicle=self.car(),
-                adhesion=self.adhesion,
-                fixed_share=self.fixed_share,
-            )
+        around = self._surroundings()
+        return simulate.run(
+            self.scenario,
+            registry.guidance(self.controller, self.tuned(), self.options, **self.changes),
+            route=around.route,
+            sensors=around.sensors,
+            substeps=1 + bool(self.ride and self.irregular) if self.substeps is None else self.substeps,
+            vehicle=around.believed,
+            plant_vehicle=around.car,
+            adhesion=self.adhesion,
+            fixed_share=self.fixed_share,
+        )
 
-    @contextmanager
-    def _laid(self) -> Iterator[Scenario]:
-        """The scenario, on its own track or on `alignment`."""
+    def _surroundings(self) -> Surroundings:
+        """`Surroundings` of the run, made once for all runs with equal fields and unchanged files."""
+        fields = tuple(getattr(self, name) for name in _AROUND)
+        files = [*map(paths.source, _FILES), Path(self.scenario.track_file())]
+        try:
+            packed = pickle.dumps(fields)
+        except (pickle.PickleError, TypeError, AttributeError):  # of a value that is refused
+            return _made(self)
+        return _shared(packed, tuple((str(file), code.signature(file)) for file in files))
+
+    def _route(self) -> Route:
+        """Route of the scenario with its rails, on its own track or on `alignment`."""
+        rails = self.rails()
         if self.alignment is None:
-            yield self.scenario
-            return
+            return self.scenario.route(*rails)
         with scratch() as folder:
             file = folder / f"{self.alignment.name}.csv"
             write_table(build_table(self.alignment), file)
-            yield self.scenario.but(track=str(file))
+            return self.scenario.but(track=str(file)).route(*rails)
 
     def key(self, measure: Measure) -> str | None:
         """Key of a result of this run in `store`, a hash; None for a controller from a user's file (not stored).
@@ -138,19 +150,10 @@ class Experiment:
         """
         if not _is_ours(self.controller):
             return None  # of a user's file
-        scenario = {name: value for name, value in vars(self.scenario).items() if name not in ("name", "track")}
-        track = None if self.alignment else load_track(self.scenario.track_file())
-        believed, car = load_vehicle(**self.vehicle), self.car()
-        read = vars(self) | {
-            "scenario": (scenario, track and (track.table.to_numpy(), track.design_speed)),
-            "label": {},
-            "parameters": self.tuned(),
-            "vehicle": believed,
-            "plant": car,
-            "irregular": self.rails(),
-            "sensors": (self.sensors, sensors.load_loop()) if self.sensors else None,
-        }
-        return store.key(measure.__module__, measure.__qualname__, read)
+        around = self._surroundings().digest
+        own = {name: value for name, value in vars(self).items() if name not in ("label", *_AROUND)}
+        own |= {"parameters": self.tuned()}
+        return around and store.key(measure.__module__, measure.__qualname__, around, own)
 
     def measured(self, measure: Measure) -> store.Entry:
         """Result of `measure(run, experiment)` for this run: read from the store, else simulated by `executor.work`.
@@ -177,7 +180,7 @@ class Experiment:
         `ride.ride_summary`; failed (bool); failed_at_m (NaN unless failed); ended, why the run ended (text); warnings
         (text); fallbacks, number of samples of both gears in which a predictive controller found no solution.
         """
-        vehicle, series = self.car(), run.series
+        vehicle, series = self._surroundings().car, run.series
         values = metrics.summary(series)
         if run.failed:
             values = {name: (np.nan, unit) for name, (_, unit) in values.items()}
@@ -190,12 +193,57 @@ class Experiment:
         return row | {"fallbacks": sum(getattr(controller, "fallbacks", 0) for controller in run.controllers)}
 
 
+class Surroundings(NamedTuple):
+    """What surrounds the controller in a run. Runs of a study share it, so nothing of it may be changed.
+
+    Attributes:
+        believed, car (Vehicle): Parameters that the controllers assume, and those of the simulated car.
+        route (Route): Track, rails and set point.
+        sensors (Readings or None): Sensors between car and controllers.
+        digest (str or None): Hash of the values that it follows from; None for a value that `store` does not take.
+    """
+
+    believed: Vehicle
+    car: Vehicle
+    route: Route
+    sensors: sensors.Readings | None
+    digest: str | None
+
+
+_AROUND = ("scenario", "alignment", "vehicle", "plant", "irregular", "preview", "sensors")
+"""Fields of an `Experiment` from which its `Surroundings` follow."""
+_FILES = tuple(f"data/{name}.toml" for name in ("vehicle", "tracks", "irregularities", "sensors"))
+"""Files from which they follow, besides a track of its own."""
+
+
+@lru_cache(maxsize=32)
+def _shared(packed: bytes, _files: tuple) -> Surroundings:
+    """`Surroundings` of the packed values of `_AROUND`, with the present state of the files."""
+    return _made(Experiment(controller=registry.NOTHING, **dict(zip(_AROUND, pickle.loads(packed), strict=True))))
+
+
+def _made(of: Experiment) -> Surroundings:
+    scenario = {name: value for name, value in vars(of.scenario).items() if name not in ("name", "track")}
+    track = None if of.alignment else load_track(of.scenario.track_file())
+    believed, car, route = load_vehicle(**of.vehicle), of.car(), of._route()
+    route.cells.flags.writeable = False
+    read: list = [scenario, track and (track.table.to_numpy(), track.design_speed), of.alignment, believed, car]
+    read += [of.rails(), of.preview, (of.sensors, sensors.load_loop()) if of.sensors else None]
+    seen, digest = sensors.readings(**of.sensors) if of.sensors else None, None
+    with suppress(TypeError):
+        digest = store.digest(*read)
+    return Surroundings(believed, car, route, seen, digest)
+
+
 @lru_cache(maxsize=64)
-def _rails(end: float, irregular: str, known: str) -> tuple[pd.DataFrame, tuple[np.ndarray, np.ndarray] | None]:
-    """Irregularities up to a coordinate (m), and the line planned with them; studies drive the same ones very often."""
+def _rails(
+    end: float, irregular: str, known: str, changed: tuple | None
+) -> tuple[pd.DataFrame, tuple[np.ndarray, np.ndarray] | None]:
+    """Irregularities up to a coordinate (m), and the line planned with them; studies drive the same ones very often.
+    `changed` is the state of the file with the spectra."""
     if known == "{}":
         return rough_track(np.arange(0.0, end, CELL), **json.loads(irregular)), None
-    rough, _ = _rails(end, irregular, "{}")
+    rough, _ = _rails(end, irregular, "{}", changed)
     return rough, preview.plan(rough, **json.loads(known))
 
 

@@ -61,12 +61,10 @@ def key(module: str, *parts) -> str | None:
     arrays, DataFrames, dataclasses, lists and dicts of these. None with a part of another type, for a module outside of
     railrepro, and when files of railrepro were edited after their import.
     """
-    reached = code.reached(f"from {module} import {module}")
-    made_by = code.version(), {file: content for file, content in reached.items() if file not in code.DRAWING}
-    if not module.startswith("railrepro.") or not code.unchanged():
+    if not module.startswith("railrepro.") or not code.unchanged(within=1.0):
         return None
     try:
-        return digest(machine(), made_by, *parts)
+        return digest(machine(), code.version(), code.reached_from(module), *parts)
     except TypeError:
         return None
 

@@ -57,6 +57,23 @@ def test_examples_of_the_guide_run_as_they_stand(tmp_path, monkeypatch):
     assert lateral.signature(law(pole=20.0)) == lateral.signature(law(pole=40.0)), "one object must serve both tunings"
 
 
+class Softened(NDI):
+    """Inherits that NDI has the same torque for all objects, which is not so here."""
+
+    def torque(self, q):
+        du, following = super().torque(q)
+        return du / self.pole, following
+
+
+def test_laws_share_equations_only_where_their_class_says_that_gains_are_all_that_differs(monkeypatch):
+    assert lateral.signature(NDI(pole=20.0)) is lateral.signature(NDI(pole=40.0))
+    own = [lateral.signature(Softened(pole=pole)).text for pole in (20.0, 40.0)]
+    own += [lateral.signature(Own(lambda q, k=k: k * q.y)).text for k in (1.0, 2.0)]
+    own += [lateral.signature(NDI()).text]
+    monkeypatch.setattr(NDI, "torque", lambda self, q: (q.y, {"integral": q.y}))
+    assert len({*own, lateral.signature(NDI()).text}) == 6
+
+
 @pytest.mark.parametrize(
     ("guidance", "sentence"),
     [

@@ -8,6 +8,11 @@ from railrepro.tuning import sets
 from railrepro.vehicle.parameters import load_vehicle
 
 
+def test_the_time_of_a_run_of_a_study_is_split_and_its_store_is_not_asked():
+    (row,) = speed.study_times(["ndi"], ["paper"], repeats=1).to_dict("records")
+    assert 0 < row["loop_ms"] < row["run_ms"] and row["ratio"] == row["run_ms"] / row["loop_ms"]
+
+
 def test_same_optimum_as_ipopt_and_one_iteration_meets_the_bounds():
     vehicle, settings = load_vehicle(), mpc_settings(sets.load("nmpc", "equal")["parameters"])
     # few problems, as Ipopt takes a second for one whose bounds are active

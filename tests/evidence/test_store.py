@@ -8,7 +8,7 @@ from operator import call
 import pandas as pd
 import pytest
 
-from railrepro import code
+from railrepro import code, paths
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.registry import CONTROLLERS
 from railrepro.evidence.claims import probe
@@ -21,6 +21,7 @@ from railrepro.track.alignment import alignments
 from railrepro.tuning.cost import evaluate
 from railrepro.tuning.task import load_task
 
+POLES = {"pole": 20.0, "frequency": 20.0, "damping": 1.0}
 SHORT = Experiment(load_scenario("curve_entry_T3").but(end_m=8.0), "ndi", stride=100)
 
 
@@ -61,10 +62,12 @@ CHANGES = [
     {"sensors": {"seed": 1}},
     {"sensors": {"seed": 2}},
     {"irregular": {"seed": 1}},
-    {"adhesion": AdhesionSettings(active=False)},
-    {"alignment": alignments()["T3"]},
+    {"irregular": {"seed": 1}, "preview": {"share": 0.5}},
     {"alignment": alignments()["T4"]},
     {"controller": "ndi_feedforward"},
+    {"parameters": POLES},
+    {"adhesion": AdhesionSettings(active=False)},  # this and the next one leave this run as it is
+    {"alignment": alignments()["T3"]},
 ]
 
 
@@ -77,6 +80,45 @@ def test_whatever_a_run_reads_and_what_chooses_the_last_digits_is_in_its_key_and
     for name in ("RAILREPRO_CFLAGS", "OPENBLAS_CORETYPE", "GLIBC_TUNABLES"):
         monkeypatch.setenv(name, "other")
         assert before != (before := SHORT.key(probe.following))
+
+
+def driven(experiment):
+    """Numbers and key of a run into the curve."""
+    run = replace(experiment, scenario=experiment.scenario.but(end_m=40.0))
+    return run.run().series.to_numpy().tobytes(), run.key(probe.following)
+
+
+@pytest.mark.parametrize("change", CHANGES[:-2])
+def test_a_run_follows_what_changes_between_runs_of_a_process(change):
+    before, changed = driven(SHORT), driven(replace(SHORT, **change))
+    assert driven(SHORT) == before and len({*before, *changed}) == 4
+
+
+EDITS = [
+    ("vehicle.toml", "value = 3000.0", "value = 2999.0", {}),
+    ("tracks.toml", "straight_m = 25", "straight_m = 2", {}),
+    ("irregularities.toml", "level_mm = 0.40", "level_mm = 0.4000001", {"irregular": {"spectrum": "en_A_300"}}),
+    ("sensors.toml", "value = 0.004", "value = 0.0041", {"sensors": {"seed": 1}}),
+]
+
+
+@pytest.mark.parametrize(("file", "old", "new", "change"), EDITS)
+def test_a_run_follows_a_file_that_is_edited_between_runs_of_a_process(file, old, new, change, tmp_path, monkeypatch):
+    monkeypatch.setenv("RAILREPRO_OUTPUT", str(tmp_path))
+    text, own, run = (paths.DATA / file).read_text(), tmp_path / "data" / file, replace(SHORT, **change)
+    own.parent.mkdir()
+    before, *edited = [own.write_text(each) and driven(run) for each in (text, text.replace(old, new), text)]
+    assert edited[1] == before and len({*before, *edited[0]}) == 4
+
+
+def test_a_run_follows_a_track_file_and_a_dict_that_are_edited_between_runs_of_a_process(tmp_path):
+    file, found = tmp_path / "own.csv", []
+    run = replace(SHORT, scenario=SCENARIO.but(track=str(file)), plant={"wheel.radius": 0.46})
+    for curvature in (2e-4, 1e-4):
+        file.write_text(f"p_m,dpsi_dp_1pm\n0,{curvature}\n900,{curvature}\n")
+        found.append(driven(run))
+    run.plant["wheel.radius"] = 0.45
+    assert len({*found[0], *found[1], *driven(run)}) == 6
 
 
 @pytest.mark.parametrize(
@@ -107,14 +149,21 @@ def test_what_is_computed_while_code_is_edited_is_not_stored(folder, monkeypatch
     assert not folder.exists()
 
 
+def test_an_edit_just_after_a_key_keeps_a_result_from_the_store(folder, monkeypatch):
+    key = SHORT.key(probe.following)
+    monkeypatch.setattr(code, "_edited", False)
+    monkeypatch.setitem(code._SIGNATURES, code.__file__, None)
+    assert code.unchanged(within=60.0) and store.entry(key, lambda: ({"fade": 1.0}, None)) and not folder.exists()
+    assert SHORT.key(probe.following) is None
+
+
 def test_the_runs_of_an_evaluation_are_stored_one_by_one(folder, runs):
     task = load_task()
     run = replace(task.runs["T3"], scenario=task.runs["T3"].scenario.but(end_m=20.0))
     task = replace(task, runs={"T3": run, "seen": replace(run, sensors={"seed": 1})})
-    poles = {"pole": 20.0, "frequency": 20.0, "damping": 1.0}
-    cost = evaluate("ndi", task, poles)
+    cost = evaluate("ndi", task, POLES)
     next(folder.rglob("*.json")).unlink()
-    assert evaluate("ndi", task, poles) == cost and math.isfinite(cost[0]) and len(runs) == 3
+    assert evaluate("ndi", task, POLES) == cost and math.isfinite(cost[0]) and len(runs) == 3
 
 
 def test_what_a_worker_computes_is_stored_by_who_asked_and_asked_of_no_worker_again(folder, monkeypatch):

@@ -1,14 +1,20 @@
-"""Times of the solvers of the predictive controllers, as ratios within one run.
+"""Times of the solvers of the predictive controllers and of the runs of a study, as ratios within one run.
 
-`python -m railrepro bench` writes solve_times.csv and horizon_times.csv of data/results. Times of different machines
-are never compared. Serves the paper's section Evaluation of Lateral Control (computation times).
+`python -m railrepro bench` writes solve_times.csv and horizon_times.csv of data/results, and prints what a run of a
+study costs over its compiled loop. Times of different machines are never compared.
+
+Serves the paper's section Evaluation of Lateral Control (computation times).
 """
 
 from __future__ import annotations
 
 import platform
+import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pandas as pd
@@ -17,11 +23,15 @@ from tqdm import tqdm
 from railrepro import paths
 from railrepro.control.mpc import LTVMPC, NMPC
 from railrepro.control.problem import MPCSettings, Problem
-from railrepro.control.registry import EQUAL, SETTINGS, mpc_settings, parameters
+from railrepro.control.registry import CONTROLLERS, EQUAL, LOOP, PAPER, SETTINGS, mpc_settings, parameters
 from railrepro.data import write
 from railrepro.model.control_model import Y
 from railrepro.simulation import scenarios, simulate
+from railrepro.simulation.closed_loop import ClosedLoop
+from railrepro.studies.experiment import Experiment
 from railrepro.track.route import Route
+from railrepro.tuning.cost import driven
+from railrepro.tuning.task import load_task
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 SCENARIOS = *(f"curve_entry_T{k}" for k in range(1, 5)), "sine_tracking", "adhesion_loss", "braking"
@@ -133,6 +143,41 @@ def horizon_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def study_times(
+    controllers: Sequence[str] = ("ndi", "nmpc"), settings: Sequence[str] = (PAPER, LOOP), repeats: int = 5
+) -> pd.DataFrame:
+    """Processor time of the runs of a tuning task, a row per controller and setting; nothing is read from the store.
+
+    Columns: setting; controller; run_ms and loop_ms, time of a run and of its compiled loop, of each run the median of
+    `repeats`, then the mean over the runs (ms); ratio of both (-).
+    """
+    rows = []
+    for setting, controller in product(settings, controllers):
+        task, quick, tuned = load_task(setting=setting), CONTROLLERS[controller].quick, parameters(controller, setting)
+        runs = [replace(run, controller=controller, parameters=tuned, options=quick) for run in task.runs.values()]
+        times = [[_study_time(run) for run in runs] for _ in range(1 + repeats)][1:]  # the first makes what they share
+        of_run, of_loop = 1e3 * np.median(times, axis=0).mean(axis=0)
+        rows.append([setting, controller, of_run, of_loop, of_run / of_loop])
+    return pd.DataFrame(rows, columns=["setting", "controller", "run_ms", "loop_ms", "ratio"])
+
+
+def _study_time(run: Experiment) -> tuple[float, float]:
+    """Processor time of a run in a study, and of its compiled loop (s)."""
+    inside, drive = [], ClosedLoop.run
+
+    def timed(loop: ClosedLoop, n: int) -> np.ndarray:
+        start = time.process_time()
+        log = drive(loop, n)
+        inside.append(time.process_time() - start)
+        return log
+
+    with patch.object(ClosedLoop, "run", timed):
+        begin = time.process_time()
+        run.key(driven)
+        driven(run.run(), run)
+        return time.process_time() - begin, sum(inside)
+
+
 def machine() -> str:
     """Name of this machine's processor, as "AMD EPYC 7763"; its architecture where the name is unknown."""
     info = Path("/proc/cpuinfo")
@@ -142,7 +187,8 @@ def machine() -> str:
 
 
 def main() -> None:
-    """Write and print solve_times.csv (all settings) and horizon_times.csv (setting "equal") of data/results."""
+    """Write and print solve_times.csv (all settings) and horizon_times.csv (setting "equal") of data/results, and print
+    `study_times`."""
     vehicle, of = load_vehicle(), {name: mpc_settings(parameters("nmpc", name)) for name in SETTINGS}
     solvers = pd.concat([solve_times(vehicle, settings).assign(setting=name) for name, settings in of.items()])
     tables = {"solve_times": solvers, "horizon_times": horizon_times(vehicle, of[EQUAL])}
@@ -150,3 +196,4 @@ def main() -> None:
         table["machine"] = machine()
         write(paths.product(f"data/results/{name}.csv"), table.to_csv(index=False, float_format="%.4g"))
         print(f"\n{name}\n{table.drop(columns='machine').to_string(index=False)}")
+    print(f"\na run of a study over its compiled loop\n{study_times().to_string(index=False, float_format='%.3g')}")
