@@ -51,8 +51,7 @@ class Comparison:
         InputError for any other name."""
         column, factor = QUANTITIES.get(quantity, (quantity, 1.0))
         if column not in self.rows:
-            known = [*QUANTITIES, *(name for name in self.rows if name not in self.labels)]
-            raise InputError(f"quantity {quantity!r} is not known; there are {known}")
+            raise InputError(f"quantity {quantity!r} is not known; there are {[*QUANTITIES]} and columns of `rows`")
         result = self.rows.set_index(list(self.labels))[column].rename(quantity)
         return result if factor == 1.0 else factor * result
 
