@@ -77,6 +77,12 @@ class Track:
         """Track coordinate of the last row (m)."""
         return float(self._rows["p"][-1])
 
+    @property
+    def chainage(self) -> float:
+        """Distance along the line (m) at the track coordinate 0, as the file of the track counts it; 0 without a file.
+        `track.chainage + run.series["front.p"]` is the chainage of a run."""
+        return self.table.attrs.get(_CHAINAGE, 0.0)
+
     @cached_property
     def _rows(self) -> dict[str, np.ndarray]:
         """Values and slopes of the cell that begins at each row."""
@@ -176,7 +182,7 @@ def write_table(table: pd.DataFrame, path: Path) -> None:
 
 
 _ALLOWED = {
-    "p_m": (0.0, LONGEST, "m"),
+    "p_m": (0.0, 1e7, "m"),
     "dpsi_dp_1pm": (0.0, 0.02, "1/m"),
     "radius_m": (50.0, math.inf, "m"),
     "phi_rad": (0.0, MAX_CANT, "rad"),
@@ -189,6 +195,8 @@ _ALLOWED = {
 """Columns of a track file, each with its smallest and largest magnitude and its unit."""
 _INSTEAD = {"dpsi_dp_1pm": "radius_m", "phi_rad": "cant_mm"}
 """Columns of a table, and those that a file may have in their place."""
+_CHAINAGE = "chainage_m"
+"""Key in `attrs` of a table: distance (m) that its file gives to the coordinate 0."""
 _SPIKE = 5.0
 """Longest spike (m)."""
 
@@ -199,7 +207,8 @@ def read_table(path: Path | str) -> pd.DataFrame:
     The file has one row per point; curvature, cant and inclination change linearly in between, and a step of curvature
     is two points 1 mm apart. Commas separate the columns. Blank lines and lines that begin with # are left out. Yaw is
     positive to the right, roll right side down, pitch nose up. Columns:
-    - p_m: distance along the line (m), increasing; the first point becomes the coordinate 0;
+    - p_m: distance along the line (m), increasing, such as the chainage; the first point becomes the coordinate 0, and
+      its value is `Track.chainage`;
     - dpsi_dp_1pm: curvature (1/m); or radius_m: radius (m), negative in a left-hand curve, inf on a straight;
     - phi_rad: cant angle (rad); or cant_mm: height of the left rail above the right one (mm) on a base of 1.5 m.
       Optional, default 0;
@@ -223,6 +232,7 @@ def read_table(path: Path | str) -> pd.DataFrame:
     segments = tuple(map(Segment, np.diff(values["p_m"]), *map(itertools.pairwise, shape)))
     table = build_table(Alignment(file.name, segments), heading=values.get("psi_rad", [0.0])[0])
     _compare(values, table, refuse)
+    table.attrs[_CHAINAGE] = float(values["p_m"][0])
     return table
 
 
@@ -270,6 +280,7 @@ def _numbers(text: pd.DataFrame, refuse: Callable) -> dict[str, np.ndarray]:
         refuse(column, ~inside, f"a number {bounds} {unit} is needed (unit?)")
     p = values["p_m"]
     refuse("p_m", np.diff(p, prepend=-math.inf).round(6) <= 0, "increasing numbers are needed")
+    refuse("p_m", p - p[0] > LONGEST, f"at most {LONGEST:g} m after the first point are needed (unit?)")
     if "radius_m" in values:
         values["dpsi_dp_1pm"] = 1 / values["radius_m"]
     if "cant_mm" in values:

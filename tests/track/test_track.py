@@ -117,6 +117,15 @@ def test_cant_ramps_between_half_metres_have_no_jump_in_the_cells(own):
         assert (cells[name] + route.CELL * cells["d" + name])[:-1] == pytest.approx(cells[name][1:], abs=1e-15)
 
 
+def test_the_chainage_of_a_file_is_kept_for_output(tmp_path):
+    file, tracks = tmp_path / "line.csv", []
+    for first in (0, 245_300):
+        file.write_text(f"p_m,radius_m\n{first},inf\n{first + 100},600\n{first + 300},600\n")
+        tracks.append(load_track(file))
+    assert [track.chainage for track in tracks] == [0.0, 245_300.0]
+    assert tracks[0].table.equals(tracks[1].table)
+
+
 def test_radius_and_cant_in_the_units_of_the_field(own):
     """The file of the guide, and the same track in SI."""
     (text,) = re.findall(r"```text\n(.*?)```", (paths.NOTEBOOKS / "book/adding.md").read_text(), re.DOTALL)
