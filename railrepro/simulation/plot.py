@@ -31,12 +31,12 @@ class Panel(NamedTuple):
 
 
 PANELS = {
-    "y": Panel("$y$ (mm)", ("y",), 1e3, "y_ref"),
-    "error": Panel("error (mm)", ("error",), 1e3),
-    "creep": Panel("creep angle (mrad)", ("creep_angle",), 1e3),
-    "du": Panel(r"$\Delta u$ (N m)", ("du",), 1.0),
-    "torque": Panel("right torque (N m)", ("ri.tau",), 1.0),
-    "torques": Panel("torques (kN m)", ("ri.tau", "le.tau"), 1e-3),
+    "y": Panel("lateral\nposition (mm)", ("y",), 1e3, "y_ref"),
+    "error": Panel("lateral\nerror (mm)", ("error",), 1e3),
+    "creep": Panel("creep\nangle (mrad)", ("creep_angle",), 1e3),
+    "du": Panel("differential\ntorque (N m)", ("du",), 1.0),
+    "torque": Panel("right motor\ntorque (N m)", ("ri.tau",), 1.0),
+    "torques": Panel("motor\ntorques (kN m)", ("ri.tau", "le.tau"), 1e-3),
     "adhesion": Panel("adhesion (-)", ("ri.adhesion", "le.adhesion"), 1.0, "f_star"),
     "slip": Panel("slip (‰)", ("ri.sx", "le.sx"), -1e3),
     "speed": Panel("speed (km/h)", ("v",), 3.6),
