@@ -207,6 +207,7 @@ def read_table(path: Path | str) -> pd.DataFrame:
     The file has one row per point; curvature, cant and inclination change linearly in between, and a step of curvature
     is two points 1 mm apart. Commas separate the columns. Blank lines and lines that begin with # are left out. Yaw is
     positive to the right, roll right side down, pitch nose up. Columns:
+
     - p_m: distance along the line (m), increasing, such as the chainage; the first point becomes the coordinate 0, and
       its value is `Track.chainage`;
     - dpsi_dp_1pm: curvature (1/m); or radius_m: radius (m), negative in a left-hand curve, inf on a straight;
