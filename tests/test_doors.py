@@ -5,6 +5,9 @@ import os
 import re
 import shutil
 import subprocess
+import tempfile
+from itertools import takewhile
+from pathlib import Path
 
 import pytest
 
@@ -31,7 +34,7 @@ def git(*arguments, cwd=paths.ROOT):
 @pytest.fixture
 def open_folder(tmp_path):
     """A folder that other users reach, too; it is removed with its environment of 1 GB."""
-    for folder in (tmp_path, *tmp_path.parents[:2]):
+    for folder in takewhile(lambda one: one != Path(tempfile.gettempdir()), (tmp_path, *tmp_path.parents)):
         folder.chmod(0o755)
     yield tmp_path
     shutil.rmtree(tmp_path)
