@@ -142,7 +142,7 @@ def entry(controller: str) -> str | Path:
 
 def ranked_seeds(of: str | Path) -> tuple[int, ...]:
     """Seeds that rank a controller of `entry`: `RANKED` for a registered name; for a file as many that follow from its
-    SHA-256, so that nobody knows them before the last change. Ends of lines do not count."""
+    SHA-256, so that they are not known before the last change. Ends of lines do not count."""
     if isinstance(of, str):
         return RANKED
     digest = hashlib.sha256(_SALT + of.read_bytes().replace(b"\r\n", b"\n")).digest()

@@ -73,9 +73,9 @@ def gear_series(series: pd.DataFrame, gear: str = "front", stride: int = 1) -> p
     adhesion and slip of each wheel, as front_ri.tau, front_ri.adhesion, front_ri.sx. Two are added: front.creep_angle
     between heading and motion (rad), and the lateral error front.error = y - y_ref (m).
     """
-    rows, of_gear = series.iloc[::stride], Part(series.iloc[::stride], gear)
+    rows = series.iloc[::stride]
     creepage = Part(rows, f"{gear}_ri").nu_y + Part(rows, f"{gear}_le").nu_y
-    added = {"creep_angle": -creepage / 2, "error": of_gear.y - of_gear.y_ref}
+    added = {"creep_angle": -creepage / 2, "error": lateral_error(rows, gear)}
     found = {"t_s": rows["t_s"]}
     for quantity in _OF_GEAR:
         name = column(gear, quantity)

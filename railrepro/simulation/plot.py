@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -59,7 +60,7 @@ def draw(axes: Sequence[Axes], panels: Sequence[Panel], series: pd.DataFrame, lo
 
     `series` is a table of `metrics.gear_series` for this `gear`, `look` has keyword arguments of `Axes.plot`.
     """
-    p = series[f"{gear}.p"]
+    p = series[metrics.column(gear, "p")]
     for axis, (_, (first, *second), factor, _) in zip(axes, panels, strict=True):
         for column in second:
             axis.plot(p, factor * series[metrics.column(gear, column)], **{**look, "alpha": 0.4, "label": None})
@@ -71,7 +72,16 @@ def draw_set_points(axes: Sequence[Axes], panels: Sequence[Panel], series: pd.Da
     for axis, panel in zip(axes, panels, strict=True):
         if panel.reference:
             y = panel.factor * series[metrics.column(gear, panel.reference)]
-            axis.plot(series[f"{gear}.p"], y, **figures.LOOKS["set point"].line)
+            axis.plot(series[metrics.column(gear, "p")], y, **figures.LOOKS["set point"].line)
+
+
+def name_axes(figure: Figure, axes: np.ndarray, panels: Sequence[Panel]) -> None:
+    """Label `axes`, an array whose first rows show `panels`, and give the figure the legend of the first of them."""
+    for row, panel in zip(axes, panels, strict=False):
+        row[0].set_ylabel(panel.label)
+    for axis in axes[len(panels) - 1]:
+        axis.set_xlabel("track coordinate (m)")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), ncols=2, loc="outside upper center")
 
 
 def figure_of(series: pd.DataFrame, names: Sequence[str], gear: str) -> Figure:
@@ -80,8 +90,5 @@ def figure_of(series: pd.DataFrame, names: Sequence[str], gear: str) -> Figure:
     figure, axes = figures.new_figure(len(panels), sharex=True, squeeze=False)
     draw(axes[:, 0], panels, rows, {"color": figures.BLUE, "label": f"{gear} running gear"}, gear)
     draw_set_points(axes[:, 0], panels, rows, gear)
-    for axis, panel in zip(axes[:, 0], panels, strict=True):
-        axis.set_ylabel(panel.label)
-    axes[-1, 0].set_xlabel("track coordinate (m)")
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), ncols=2, loc="outside upper center")
+    name_axes(figure, axes, panels)
     return figure

@@ -39,7 +39,7 @@ class Comparison:
         rows (DataFrame): One row per run: its labels and its metrics in SI units, see `Experiment.values`.
         series (DataFrame): Time series of the front running gear of all runs below each other
             (`metrics.gear_series`), with the labels and the controller of each run as further columns.
-        labels (tuple of str): Names of the columns by which the runs are told apart, as ("speed_kmh", "controller").
+        labels (tuple of str): Names of the columns by which the runs differ, as ("speed_kmh", "controller").
     """
 
     rows: pd.DataFrame
@@ -90,10 +90,7 @@ class Comparison:
             column[0].set_title(str(value), fontsize=7, linespacing=1.0)
             for line in [line for axis in upper if len(shown) > 1 for line in axis.lines]:
                 line.set_linewidth(0.7 * line.get_linewidth())
-            lowest.set_xlabel("track coordinate (m)")
-        for row, panel in zip(axes, chosen, strict=False):
-            row[0].set_ylabel(panel.label)
-        figure.legend(*axes[0, 0].get_legend_handles_labels(), ncols=2, loc="outside upper center")
+        plot.name_axes(figure, axes, chosen)
         return figure
 
     def draw(self, axes: Sequence[Axes], panels: Sequence[str], series: pd.DataFrame) -> None:

@@ -127,7 +127,7 @@ def test_a_compiler_that_fails_is_told_in_one_sentence(text, sentence, tmp_path,
 
 @pytest.mark.parametrize("works", [True, False])
 def test_what_is_compiled_ahead_is_waited_for(works, tmp_path, monkeypatch, forgotten, capsys):
-    """The compiler runs once and is announced once; what it refuses is told where the object is needed."""
+    """The compiler runs once and is announced once; what it refuses is raised where the object is needed."""
     slow, log = tmp_path / "cc", tmp_path / "log"
     run = f'sleep 0.3; exec {cache.compiler()} "$@"' if works else "exit 1"
     slow.write_text(f"#!/bin/sh\n{ANSWERS}\necho compiled >> {log}; {run}\n")
