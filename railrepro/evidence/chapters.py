@@ -22,7 +22,7 @@ def gain_ratio(controller: str, setting: str, speed: float) -> float:
 
     With a creep angle psi of the wheels, which no model here knows, the steady error in a curve is -(k1 / k0) v psi.
     `controller` is NDI, which has these gains, or a predictive one, whose gains follow from the torques that it plans
-    first for a turned and for a displaced gear. `setting` ("paper", "equal" or "loop") chooses its tuned set.
+    first for a turned and for a displaced gear. `setting` ("paper" or "loop") chooses its tuned set.
     """
     guidance = tuned(controller, setting=setting)
     if isinstance(guidance, NDI):

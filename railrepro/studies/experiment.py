@@ -51,7 +51,7 @@ class Experiment:
         irregular: Arguments of `rough_track` besides p, as {"spectrum": "en_B_300", "seed": 3}; {} is an ideal track.
         preview: Arguments of `preview.plan` besides `frame`; {} is a controller without preview of irregular rails.
         sensors: Arguments of `estimation.sensors.readings`; {} gives the controllers the true signals.
-        setting: Setting of comparison whose tuned parameters are taken: "paper", "equal" or "loop".
+        setting: Setting of comparison whose tuned parameters are taken: "paper" or "loop".
         substeps: Integration steps of the car per ms; None is 2 for ride figures on irregular rails, else 1.
         ride: Whether the row also has the comfort and force figures of `ride.ride_summary`.
         stride: Every n-th control cycle (1 ms) of the front gear is kept (`metrics.gear_series`); 0 keeps no series.

@@ -155,7 +155,7 @@ def main(count: int = 6) -> None:
     bounds far and near.
     """
     vehicle = load_vehicle()
-    tuned = [mpc_settings(parameters("nmpc", name)) for name in ("equal", "paper")]
+    tuned = [mpc_settings(parameters("nmpc", name)) for name in ("loop", "paper")]
     chosen = tuned[0], replace(tuned[1], discretisation="euler")
     plain = [speed.record("curve_entry_T3", settings, vehicle, count) for settings in chosen]
     recordings = [recording for one in plain for recording in (one, speed.tightened(one))]
