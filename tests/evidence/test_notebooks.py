@@ -46,8 +46,7 @@ VEHICLE, TRACKS, SCENARIOS = ("data/vehicle.toml", "data/tracks.toml", "data/sce
 HEAVY = {VEHICLE: ("value = 26000.0", "value = 24000.0")}
 CONES = {VEHICLE: ('value = "s1002"', 'value = "cone"')}
 EDITS = [
-    Edit("00", {"setting": "equal"}, marks=True, quick=True),
-    Edit("00", {"setting": "loop"}),
+    Edit("00", {"setting": "loop"}, quick=True),
     Edit("00", {"scenario_name": "curve_entry_T4"}),
     Edit("00", {"scenario_name": "sine_tracking", "end_m": 200.0}),
     Edit("00", {"scenario_name": "braking", "end_m": 20.0}, marks=True),

@@ -92,7 +92,7 @@ def test_behind_sensors_other_cars_and_macro_slip_are_survived(scenario, seed, s
 
 @pytest.mark.parametrize("scenario", [T3, SINE])
 def test_reach_with_perfect_measurements(scenario):
-    run = simulate.run(scenario, tuned("lqg_preview", setting="equal"))
+    run = simulate.run(scenario, tuned("lqg_preview"))
     for gear in ("front", "rear"):
         assert metrics.rmse(run.series, gear) < 2e-5
     assert not run.failed
@@ -101,7 +101,7 @@ def test_reach_with_perfect_measurements(scenario):
 def test_no_steady_error_in_an_arc_on_a_heavier_car_with_other_creep():
     scenario = load_scenario("curve_entry_T3").but(set_point={"kind": "none"}, end_m=1200.0)
     changes = {"body.mass": 28e3, "suspension.k_x": 50e3, "contact.shear_modulus": 0.6 * V.contact.shear_modulus}
-    law = tuned("lqg_preview", setting="equal")
+    law = tuned("lqg_preview")
     last = simulate.run(scenario, law, plant_vehicle=load_vehicle(**changes)).series.tail(200).mean()
     for gear in ("front", "rear"):
         assert abs(last[f"{gear}.y"]) < 3e-6
