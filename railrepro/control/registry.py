@@ -19,10 +19,10 @@ from railrepro.data import InputError, above, require
 from railrepro.model.control_model import STATES
 
 TUNED = "data/tuned"
-SETTINGS = ("paper", "equal", "loop")
-"""The three comparisons. "paper": perfect measurements, dynamic inversions with the poles of a designer. "equal":
-perfect measurements, all controllers tuned alike. "loop": sensors, all tuned alike. See data/tuning.toml."""
-PAPER, EQUAL, LOOP = SETTINGS
+SETTINGS = ("paper", "loop")
+"""The two settings of comparison. "paper": perfect measurements, dry rail. "loop": sensors, all rails. In both every
+controller keeps the same stability margin, see data/tuning.toml."""
+PAPER, LOOP = SETTINGS
 
 
 @dataclass(frozen=True)
@@ -112,6 +112,9 @@ CONTROLLERS = {
     NOTHING: Controller(lambda settings: ZeroOrderHold(), dict, False),  # the torque of none, which is 0
 }
 INVERSIONS = ("ndi", "ndi_feedforward", "ndi_integral")
+BY_SWARM = tuple(f"{name}_swarm" for name in INVERSIONS)
+"""The inversions with the poles that a swarm found. In the setting "loop" `INVERSIONS` themselves have these."""
+CONTROLLERS |= {f"{name}_swarm": CONTROLLERS[name] for name in INVERSIONS}
 REPLICATED = ("nmpc", "nmpc_observer", "ltv_mpc", "ltv_mpc_printed", *INVERSIONS)
 """The paper's methods and their variants, in the order in which chapters show them."""
 SHOWN = (*REPLICATED, OURS)
@@ -189,7 +192,8 @@ def tuned_set(controller: str, setting: str = PAPER) -> dict:
         raise InputError(f"setting {setting!r} is not known; there are {sorted(SETTINGS)}")
     designed = data.read(paths.source("data/tuning.toml"))["setting"][setting].get("designed", {})
     if controller not in designed:
-        return read(controller, setting)
+        stored = controller.removesuffix("_swarm") if setting == LOOP else controller
+        return read(stored, setting) | {"controller": controller}
     return {"controller": controller, "setting": setting, "parameters": designed[controller]}
 
 
@@ -204,7 +208,7 @@ def tuned(controller: str, options: dict | None = None, setting: str = PAPER, **
 
     Args:
         controller (str): Key of `CONTROLLERS`.
-        setting (str): "paper", "equal" or "loop", see `SETTINGS`.
+        setting (str): "paper" or "loop", see `SETTINGS`.
         options (dict, optional), changes: As in `guidance`.
     """
     return guidance(controller, parameters(controller, setting), options, **changes)

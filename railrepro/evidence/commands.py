@@ -135,7 +135,7 @@ _ARGUMENTS: list[tuple[str, str, dict]] = [
     ("figures", "names", {"nargs": "*", "metavar": "NAME", "help": "notebooks or figures, as fig06; default all"}),
     ("drive", "vehicle", {"type": _file, "help": "a file like data/vehicle.toml"}),
     ("tune", "names", {"nargs": "*", "metavar": "NAME", "help": "settings and controllers; default all"}),
-    ("probe", "settings", {"nargs": "*", "metavar": "SETTING", "help": "paper, equal, loop; default all; or FILE.toml, "
+    ("probe", "settings", {"nargs": "*", "metavar": "SETTING", "help": "paper, swarm, loop; default all; or FILE.toml, "
                            "a filled data/answers.toml"}),
     ("score", "controller", {"help": "a Python file with one controller class, or a registered name"}),
     ("score", "--seed", {"type": int, "help": "a different random seed of noise, rails and cars"}),

@@ -151,7 +151,7 @@ class Experiment:
         if not _is_ours(self.controller):
             return None  # of a user's file
         around = self._surroundings().digest
-        own = {name: value for name, value in vars(self).items() if name not in ("label", *_AROUND)}
+        own = {name: value for name, value in vars(self).items() if name not in ("label", "setting", *_AROUND)}
         own |= {"parameters": self.tuned()}
         return around and store.key(measure.__module__, measure.__qualname__, around, own)
 

@@ -3,6 +3,7 @@ Results."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from railrepro.control.registry import CONTROLLERS
 from railrepro.simulation import metrics, simulate
 from railrepro.studies import store
 from railrepro.studies.experiment import Experiment
+from railrepro.tuning import margin
 from railrepro.tuning.task import Task
 
 
@@ -49,13 +51,24 @@ def run_cost(parts: dict, cost: dict) -> float:
     return value + cost["activity_weight"] * beyond
 
 
+def missed(controller: str, task: Task, parameters: dict, speeds_kmh: Sequence[float]) -> float:
+    """Cost (-) of a parameter set that misses the margin of a task at one of some speeds, 0 if it keeps it at all."""
+    least = task.margin["least"]
+    found = margin.smallest(controller, parameters, speeds_kmh, least, task.sensed)
+    return task.cost["failure"] * (2 - found / least) if found < least else 0.0
+
+
 def evaluate(controller: str, task: Task, parameters: dict, limit: float = np.inf) -> tuple[float, list[dict]]:
-    """Mean cost (-) of tuning `parameters` over the runs of a task; returns a pair (cost, runs).
+    """Cost (-) of tuning `parameters` in a task: the mean over its runs; returns a pair (cost, runs).
 
     runs is a list of dicts, the last run of the task first, with the keys run (name), cost and the metrics of `driven`.
-    Once the mean is above `limit` the other runs are left out and count as zero: the cost is then a lower bound.
+    Once the mean is above `limit` the other runs are left out and count as zero: the cost is then a lower bound. A set
+    without the margin of the task costs what `missed` returns; at the tightest speed it is measured before the runs.
     """
     quick, number = CONTROLLERS[controller].quick, len(task.runs)
+    tightest, others = task.margin["speeds_kmh"][:1], task.margin["speeds_kmh"][1:]
+    if penalty := missed(controller, task, parameters, tightest):
+        return penalty, []
     costs, parts = [], []
     for name, run in reversed(task.runs.items()):
         asked = replace(run, controller=controller, parameters=parameters, options=quick)
@@ -68,5 +81,5 @@ def evaluate(controller: str, task: Task, parameters: dict, limit: float = np.in
         costs.append(cost)
         parts.append({"run": name, "cost": cost, **part})
         if sum(costs) > limit * number:
-            break
-    return sum(costs) / number, parts
+            return sum(costs) / number, parts
+    return missed(controller, task, parameters, others) or sum(costs) / number, parts

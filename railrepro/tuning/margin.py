@@ -3,17 +3,20 @@ linearised."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import casadi as ca
 import numpy as np
 
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.control import lateral
-from railrepro.estimation.sensors import readings
+from railrepro.control.registry import CONTROLLERS, guidance
+from railrepro.estimation.sensors import load_loop, readings
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
-from railrepro.vehicle.parameters import Vehicle
+from railrepro.studies import store
+from railrepro.studies.executor import work
+from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 WINDOW, SETTLED = 4.0, 2.0
 """Length of the window that is analysed and time before it (s); all frequencies are whole multiples of 1 / WINDOW."""
@@ -26,6 +29,10 @@ AMPLITUDE = 20.0
 """Amplitude of each sine of the disturbance (N m), well above resolution and well below limits."""
 LINEAR = 0.5
 """Least share of the power of the response that lies at the disturbed frequencies in a stable loop."""
+AT_REST = 0.1
+"""Share of the way over which an undisturbed loop is looked at first; sensors and rails move it at once."""
+SEED = 101
+"""Seed of the noise of sensors; it is equal in both runs of `sensitivity`, so another one gives the same margin."""
 
 
 class _Probed:
@@ -70,29 +77,79 @@ def disk_margin(values: np.ndarray) -> float:
 
 
 def sensitivity(
-    guidance, speed_kmh: float, sensors: dict | None = None, vehicle: Vehicle | None = None
+    law, speed_kmh: float, sensors: dict | None = None, vehicle: Vehicle | None = None
 ) -> np.ndarray | None:
     """Measure the sensitivity S = 1 / (1 + L) at the differential torque of the front gear, on straight dry track.
 
     It compares runs at `speed_kmh` with and without the disturbance `multisine`. Returns the complex ratio of torque to
-    disturbance at `FREQUENCIES`, or None when a run fails or the loop is unstable. `guidance` and `vehicle` are as in
-    `simulate.run`. `sensors` are arguments of `sensors.readings`; their noise is equal in both runs and cancels.
+    disturbance at `FREQUENCIES`, or None when a run fails or the loop is unstable. `law` is a guidance for
+    `simulate.run`, `vehicle` as there. `sensors` are arguments of `sensors.readings`; their noise is equal in both runs
+    and cancels.
     """
     end = (WINDOW + SETTLED + 0.1) * speed_kmh / 3.6
     scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=speed_kmh, end_m=end)
     seen = readings(**sensors) if sensors else None
-    kind = _ProbedFactory if callable(guidance) else _Probed
-    first, count, found = round(SETTLED / CONTROL_PERIOD), round(WINDOW / CONTROL_PERIOD), []
-    for amplitude in (0.0, AMPLITUDE):
-        run = simulate.run(scenario, kind(guidance, amplitude), vehicle=vehicle, sensors=seen)
-        if run.failed:
-            return None
-        found.append(run.series["front.du"].to_numpy()[: first + count])
-    answer = (found[1] - found[0])[first:] / AMPLITUDE
+    kind = _ProbedFactory if callable(law) else _Probed
+    first, count = round(SETTLED / CONTROL_PERIOD), round(WINDOW / CONTROL_PERIOD)
+
+    def torque(amplitude: float, share: float = 1.0) -> np.ndarray | None:
+        run = simulate.run(scenario.but(end_m=share * end), kind(law, amplitude), vehicle=vehicle, sensors=seen)
+        return None if run.failed else run.series["front.du"].to_numpy()[: first + count]
+
+    begin = torque(0.0, AT_REST) if seen is None else None
+    at_rest = begin is not None and not begin.any()  # a loop that is exactly at rest stays so
+    disturbed, undisturbed = torque(AMPLITUDE), np.zeros(first + count) if at_rest else torque(0.0)
+    if disturbed is None or undisturbed is None:
+        return None
+    answer = (disturbed - undisturbed)[first:] / AMPLITUDE
     early, late = (np.sqrt(np.mean(half**2)) for half in np.split(answer, 2))
-    torque = np.fft.rfft(answer)
+    torques = np.fft.rfft(answer)
     disturbance = np.fft.rfft(multisine((first + np.arange(count)) * CONTROL_PERIOD))
     lines = np.round(np.array(FREQUENCIES) * WINDOW).astype(int)
-    answered = np.sum(np.abs(torque[lines]) ** 2) / np.sum(np.abs(torque) ** 2)
+    answered = np.sum(np.abs(torques[lines]) ** 2) / np.sum(np.abs(torques) ** 2)
     stable = answered > LINEAR and late < 2 * early
-    return torque[lines] / disturbance[lines] if stable else None
+    return torques[lines] / disturbance[lines] if stable else None
+
+
+def peaks(
+    controller: str, parameters: dict, speed_kmh: float, sensed: bool = False, vehicle: Vehicle | None = None
+) -> dict:
+    """Measure, or read from the store, the largest sensitivity of a controller with tuning `parameters` at a speed.
+
+    Returns a dict: peak_sensitivity (max |S|) and disk_margin (-); inf and 0 if the loop is unstable or a run fails.
+    `controller` is a key of `registry.CONTROLLERS`; `sensed` says whether it has sensors; `vehicle` as in
+    `sensitivity`.
+    """
+    read = parameters, CONTROLLERS[controller].quick, speed_kmh, load_loop() if sensed else None
+    key = store.key(__name__, "peaks", controller.removesuffix("_swarm"), *read, vehicle or load_vehicle())
+    return store.entry(key, lambda: work(_peaks, controller, parameters, speed_kmh, sensed, vehicle))[0]
+
+
+def _peaks(controller: str, parameters: dict, speed_kmh: float, sensed: bool, vehicle: Vehicle | None) -> store.Entry:
+    law = guidance(controller, parameters, CONTROLLERS[controller].quick)
+    try:
+        found = sensitivity(law, speed_kmh, {"seed": SEED} if sensed else None, vehicle)
+    except (ArithmeticError, np.linalg.LinAlgError):
+        found = None
+    largest, margin = (float("inf"), 0.0) if found is None else (float(np.abs(found).max()), disk_margin(found))
+    return {"peak_sensitivity": largest, "disk_margin": margin}, None
+
+
+def smallest(
+    controller: str,
+    parameters: dict,
+    speeds_kmh: Sequence[float],
+    least: float = 0.0,
+    sensed: bool = False,
+    vehicle: Vehicle | None = None,
+) -> float:
+    """Smallest disk margin (-) over speeds, or the first one that is below `least`; inf without speeds.
+
+    The other arguments are those of `peaks`.
+    """
+    smallest = float("inf")
+    for speed in speeds_kmh:
+        smallest = min(smallest, peaks(controller, parameters, speed, sensed, vehicle)["disk_margin"])
+        if smallest < least:
+            break
+    return smallest

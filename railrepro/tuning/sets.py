@@ -8,26 +8,27 @@ from pathlib import Path
 import pandas as pd
 
 from railrepro import data, paths
-from railrepro.control.registry import EQUAL, PAPER, TUNED, read, tuned_set
+from railrepro.control.registry import PAPER, TUNED, tuned_set
 
 
 def save(found: dict, folder: Path) -> None:
-    """Write `found`, a result of `tune`, to a folder: CONTROLLER.json, and its history to CONTROLLER_particles.csv."""
+    """Write `found`, a result of `tune` or `by_rule`, to a folder: CONTROLLER.json, and the history of a swarm to
+    CONTROLLER_particles.csv."""
     content = {key: value for key, value in found.items() if key != "history"}
-    particles = found["history"].to_csv(index=False, float_format="%.6g")
-    data.write(folder / f"{found['controller']}_particles.csv", particles)
+    if "history" in found:
+        particles = found["history"].to_csv(index=False, float_format="%.6g")
+        data.write(folder / f"{found['controller']}_particles.csv", particles)
     data.write(folder / f"{found['controller']}.json", json.dumps(content, indent=2) + "\n")
 
 
-def particles(controller: str, setting: str = EQUAL) -> pd.DataFrame:
+def particles(controller: str, setting: str = PAPER) -> pd.DataFrame:
     """Evaluated particles of all swarms of a tuning, read from data/tuned: a row each, columns as `tune`'s history."""
     return pd.read_csv(paths.source(f"{TUNED}/{setting}/{controller}_particles.csv"))
 
 
-def load(controller: str, setting: str = PAPER, searched: bool = False) -> dict:
-    """Tuned set of a controller in a setting of comparison: the dict of `tune` without history.
+def load(controller: str, setting: str = PAPER) -> dict:
+    """Tuned set of a controller in a setting of comparison: the dict of `tune` or `by_rule` without history.
 
-    A designed controller has only the keys controller, setting and parameters; with `searched` it is the set that a
-    swarm found for this controller (`Task.searched_too`). InputError when there is none.
+    A designed controller has only the keys controller, setting and parameters. InputError when there is none.
     """
-    return read(controller, setting) if searched else tuned_set(controller, setting)
+    return tuned_set(controller, setting)

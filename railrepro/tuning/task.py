@@ -1,9 +1,8 @@
 """Tuning tasks of data/tuning.toml: for each setting of comparison runs, cost, budget, and what is searched.
 
-The ranking of controllers depends on their tuning and measurements, so there are three settings: `paper` (perfect
-measurements, predictive controllers tuned on dry rail, inversions designed), `equal` (perfect measurements, all tuned
-with the same cost and budget) and `loop` (as `equal`, with sensor noise, latency and filter). Serves the paper's
-section Multi-Body Simulation Results (PSO over Q, R, q, H, T).
+The ranking of controllers depends on their tuning and measurements, so there are two settings: `paper` (perfect
+measurements, dry rail) and `loop` (sensor noise, latency and filter, all rails). In both every controller keeps the
+same stability margin. Serves the paper's section Multi-Body Simulation Results (PSO over Q, R, q, H, T).
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, StrictBool
 
 from railrepro import data, paths
-from railrepro.control.registry import CONTROLLERS, EQUAL, NOTHING, guidance
+from railrepro.control.registry import CONTROLLERS, INVERSIONS, NOTHING, PAPER, guidance
 from railrepro.data import AS_GIVEN, NOT_EMPTY, Free, InputError, Number, Plain, above, between
 from railrepro.estimation.sensors import load_loop
 from railrepro.simulation.scenarios import Scenario, load_scenarios
@@ -34,27 +33,31 @@ class Task:
 
     Attributes:
         setting: Setting of comparison.
-        budget, cost: Tables of data/tuning.toml, see `Budget` and `Cost`.
+        budget, cost, margin: Tables of data/tuning.toml, see `Budget`, `Cost` and `Margin`.
         runs: Name -> run without controller. The cost is the mean over these runs; the hardest is the last.
         dimensions: Controller -> parameters that its swarms search, with bounds.
         designed: Controller -> tuning parameters chosen by hand, name -> value.
         start: Controller -> tuning parameters at which the first particle of each swarm begins.
-        searched_too: Controllers in `designed` that a swarm tunes as well, for comparison.
+        rule: Inversion whose poles follow from the margin (`tune.by_rule`) -> its other tuning parameters.
+        sensed: Whether controllers have sensors.
     """
 
     setting: str
     budget: dict
     cost: dict
+    margin: dict
     runs: dict[str, Experiment]
     dimensions: dict[str, list[Dimension]]
     designed: dict[str, dict] = field(default_factory=dict)
     start: dict[str, dict] = field(default_factory=dict)
-    searched_too: tuple[str, ...] = ()
+    rule: dict[str, dict] = field(default_factory=dict)
+    sensed: bool = False
 
     @property
     def searched(self) -> list[str]:
         """Names of the controllers that a swarm tunes in this setting."""
-        return [name for name in self.dimensions if name not in self.designed or name in self.searched_too]
+        names = [name for name in self.dimensions if name not in self.designed]
+        return [f"{name}_swarm" if name in self.rule else name for name in names]
 
 
 @data.table
@@ -77,6 +80,14 @@ class Cost:
     activity_Nm: Annotated[Number, above(0.0, 1e6, "N m")]
     activity_weight: Annotated[Number, between(0.0, 1e6)]
     failure: Annotated[Number, above(0.0, 1e9)]
+
+
+@data.table
+class Margin:
+    """Stability margin that every set keeps: least disk margin (-), speeds in the order in which they are measured."""
+
+    least: Annotated[Number, between(0.0, 2.0)]
+    speeds_kmh: tuple[Annotated[Number, between(10.0, 500.0, "km/h")], ...]
 
 
 @data.table
@@ -103,7 +114,7 @@ class SettingEntry:
     sensors: StrictBool
     runs: Annotated[tuple[str, ...], NOT_EMPTY]
     designed: dict[str, dict[str, Plain]] = field(default_factory=dict)
-    searched_too: tuple[str, ...] = ()
+    rule: dict[str, dict[str, Plain]] = field(default_factory=dict)
     start: dict[str, dict[str, Plain]] = field(default_factory=dict)
 
 
@@ -121,9 +132,15 @@ class TaskFile:
 
     budget: Annotated[Budget, AS_GIVEN]
     cost: Annotated[Cost, AS_GIVEN]
+    margin: Annotated[Margin, AS_GIVEN]
     run: Annotated[dict[str, RunEntry], NOT_EMPTY]
-    setting: Annotated[dict[Literal["paper", "equal", "loop"], SettingEntry], NOT_EMPTY]
+    setting: Annotated[dict[Literal["paper", "loop"], SettingEntry], NOT_EMPTY]
     controller: Annotated[dict[str, _BOUNDS], NOT_EMPTY]
+
+
+def triple_pole(pole: float) -> dict[str, float]:
+    """Tuning parameters of NDI with all three poles at `pole` (rad/s): keys pole, frequency (rad/s), damping (-)."""
+    return {"pole": pole, "frequency": pole, "damping": 1.0}
 
 
 def _known(names: Iterable[str], known: Iterable[str], where: str) -> None:
@@ -133,7 +150,7 @@ def _known(names: Iterable[str], known: Iterable[str], where: str) -> None:
             raise InputError(f"{where} {reprlib.repr(name)}, which is not known; there are {sorted(known)}")
 
 
-def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
+def load_task(path: Path | str | None = None, setting: str = PAPER) -> Task:
     """Tuning task of a setting of comparison from a TOML file (default data/tuning.toml); InputError if it is wrong."""
     file = data.location(path, paths.source("data/tuning.toml"))
     content = data.build(TaskFile, data.read(file), file.name)
@@ -144,16 +161,19 @@ def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
     _known(content.controller, CONTROLLERS, f"{file.name}: [controller] has")
     dimensions = content.controller
     _known([*entry.designed, *entry.start], dimensions, f"{where} has")
-    _known(entry.searched_too, entry.designed, f"{where} designs, and has searched_too")
+    _known(entry.rule, INVERSIONS, f"{where} has the rule of poles for")
     try:
         for name, parameters in entry.designed.items():
             guidance(name, parameters)
         for name, parameters in entry.start.items():
             Swarm(dimensions[name], 1, 0, parameters)
+        for name, parameters in entry.rule.items():
+            guidance(name, triple_pole(1.0) | parameters)
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
-    budget, cost = content.budget, content.cost
-    return Task(setting, budget, cost, runs, dimensions, entry.designed, entry.start, entry.searched_too)
+    tables = content.budget, content.cost, content.margin
+    own = entry.designed, entry.start, entry.rule, entry.sensors
+    return Task(setting, *tables, runs, dimensions, *own)
 
 
 def _run(entry: RunEntry, sensed: bool, where: str) -> Experiment:

@@ -143,5 +143,15 @@ CONTROLS: dict[str, Control] = {
     "step without effect": table("adhesion_law", lambda t: t.assign(rms_error=1.0)),
     "fixed share costs nothing": like_nmpc(statements.FIXED, but="share"),
     "base torque without effect": like_nmpc(statements.UNINFORMED),
+    # who does not know the future is as late as who does
+    "future without effect": metrics(
+        lambda e, s, c, m, v: (
+            e.metrics[s, "nmpc", m] if c in (statements.RATES, statements.SHORT) and m == "delay" else v
+        )
+    ),
+    "a lag doubles the error": metrics(
+        lambda e, s, c, m, v: 2.1 * e.metrics[s.partition(", lag")[0], c, m] if ", lag" in s and m == "rmse_y" else v
+    ),
+    "a lag derails": metrics(lambda e, s, c, m, v: 1.0 if ", lag 10" in s and m == "failed" else v),
     "preview without effect": like_nmpc(statements.PREVIEW),
 }

@@ -1,4 +1,5 @@
-"""Evidence on the nominal case: the stored probes of each setting (nominal_metrics.csv), as `statements.Evidence`."""
+"""Evidence on the nominal case: the stored probes of each column of verdicts (nominal_metrics.csv), as
+`statements.Evidence`."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from railrepro import paths
-from railrepro.control.registry import SETTINGS
+from railrepro.evidence.claims.setup import COLUMNS, setting_of
 from railrepro.evidence.claims.statements import Evidence
 
 Key = tuple[str, str, str]
@@ -24,7 +25,7 @@ def result(name: str) -> pd.DataFrame | None:
 
 
 class Nominal:
-    """Stored metrics of the nominal car, per setting of comparison ("paper", "equal", "loop").
+    """Stored metrics of the nominal car, per column of verdicts (`setup.COLUMNS`).
 
     `results` reads a table of data/results: its name without ending -> DataFrame, or None if there is no such file.
     """
@@ -36,15 +37,15 @@ class Nominal:
         self._rows = {} if found is None else dict(list(found.groupby("setting")))
 
     def settings(self) -> list[str]:
-        """Settings of comparison for which there are metrics, in the order of `SETTINGS`."""
-        return [setting for setting in SETTINGS if setting in self._rows]
+        """Columns of verdicts for which there are metrics, in the order of `COLUMNS`."""
+        return [column for column in COLUMNS if column in self._rows]
 
     def evidence(self, setting: str) -> Evidence:
-        """Metrics and tables of "paper", "equal" or "loop"; for "" the tables that depend on no setting, no metrics."""
+        """Metrics and tables of a column of verdicts; for "" the tables that depend on no setting, no metrics."""
         if setting not in self._evidence:
             rows = self._rows.get(setting)
             known = ({}, {}) if rows is None else (tuned_metrics(rows), seeds_spread(rows))
-            self._evidence[setting] = Evidence(*known, self.results, setting)
+            self._evidence[setting] = Evidence(*known, self.results, setting_of(setting))
         return self._evidence[setting]
 
     def on_calibrated_car(self) -> dict[str, str]:

@@ -1,6 +1,6 @@
 """What the paper's statements ask of one car and its controllers: a few runs, and the metrics that predicates read.
 
-The nominal results in three settings and each sample of the robustness study are probes, so that one predicate
+The nominal results in each column of verdicts and each sample of the robustness study are probes, so that one predicate
 (`statements`) judges all of them. Serves the paper's section Multi-Body Simulation Results.
 """
 
@@ -18,23 +18,25 @@ from railrepro import paths
 from railrepro.contact.creep import adhesion_maximum, polach
 from railrepro.contact.table import middle_patch
 from railrepro.control.adhesion import AdhesionSettings
-from railrepro.control.registry import EMPHASIS, LOOP, PAPER_TRIO, SETTINGS, with_r_times
+from railrepro.control.registry import EMPHASIS, LOOP, PAPER_TRIO, with_r_times
 from railrepro.data import InputError, write
 from railrepro.evidence.claims import statements
-from railrepro.evidence.claims.setup import ProbeSetup, setup, triple_pole
+from railrepro.evidence.claims.setup import COLUMNS, ProbeSetup, setup
 from railrepro.evidence.claims.statements import BETWEEN, BRAKE, LOSS, NDI, NOTHING, SOFT, SOFTEST, T3
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import Scenario, load_scenario
 from railrepro.studies import store
 from railrepro.studies.executor import ordered_map
 from railrepro.studies.experiment import Experiment
+from railrepro.track.alignment import Alignment
 from railrepro.track.table import Track, build_table, load_track
+from railrepro.tuning.task import triple_pole
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 PARTS = ("curve", "curves", "sine", "loss", "brake")
 """Groups of runs in every probe: curve entry on T3; on T1, T2, T4; sine at five speeds; loss of adhesion; braking."""
-ONCE = ("causes", "sudden", "share", "rails")
-"""Groups of runs once per setting: creep and cones, sudden losses of adhesion, allocation, irregular rails."""
+ONCE = ("causes", "sudden", "share", "rails", "lags")
+"""Groups of runs once per setting: creep and cones, sudden losses of adhesion, allocation, irregular rails, lags."""
 PERTURBED = (0.98, 0.99, 1.0, 1.01, 1.02)
 """Factors on R of the runs over which Fig. 8 is averaged: at the adhesion maximum single runs are chaotic."""
 R_FACTORS, POLES = (1.0, 10**0.5, 10.0, 10**1.5, 100.0), (8.0, 15.0, 25.0, 40.0, 60.0)
@@ -48,6 +50,8 @@ REGULAR_END, DEMANDED, REACHED = 110.0, 130.0, 240.0
 PATCH, SUDDEN_KMH, SUDDEN_KN, CHECKED = (300.0, 500.0), 280.0, 17.0, 100.0
 """Sudden loss: begin and end of the very poor rail (m), speed (km/h), force per gear in traction and braking (kN), and
 the way before (m) on which operation must be regular: the steps of the law have climbed to the set point by 160 m."""
+SHORTEST = 0.06
+"""Shortest horizon of NMPC (s): 5 m at the speed of Fig. 6."""
 NO_SLIP_CONTROL = AdhesionSettings(active=False)
 RECOVERY, APPROACH, FALL = 0.135, 0.9, 0.1
 """Time within which a wheel must be back from macro slip, a tenth of a wave of the set point of Fig. 8 (s); adhesion
@@ -218,6 +222,29 @@ def _curve(world: ProbeSetup) -> Measured:
     for name in statements.MPC:
         if {name, NDI} <= set(series):
             yield T3, name, torque_shift(series[name], series[NDI])
+    yield from _unforeseen(world, scenario, stretched)
+
+
+def _unforeseen(world: ProbeSetup, scenario: Scenario, stretched: Alignment | None) -> Measured:
+    """Delay of NDI that knows the rates of the set point, and of NMPC with the shortest horizon: hardly any preview."""
+    short = world.parameters["nmpc"] | {"horizon_s": SHORTEST}
+    rates = world.experiment(scenario, NDI, changes={"rates": True}, alignment=stretched)
+    for label, run in {
+        statements.RATES: rates,
+        statements.SHORT: world.experiment(scenario, "nmpc", short, alignment=stretched),
+    }.items():
+        values, _ = run.measured(entering)
+        yield T3, label, {key: value for key, value in values.items() if key in ("rmse_y", "delay", "failed")}
+
+
+def _lags(world: ProbeSetup) -> Measured:
+    """Both MPC in the curve of Fig. 6 and on its fastest sine, with lags of the drive that they do not know."""
+    sine = load_scenario("sine_tracking").but(speed_kmh=400.0, end_m=300.0)
+    for label, scenario, alignment in ((T3, world.scenario(T3), world.stretched()), (statements.FASTEST, sine, None)):
+        for lag in statements.LAGS_MS:
+            for name in statements.MPC:
+                run = world.experiment(scenario, name, plant={"drive.lag": 1e-3 * lag}, alignment=alignment)
+                yield f"{label}, lag {lag:g} ms", name, run.measured(following)[0]
 
 
 def _loss(world: ProbeSetup) -> Measured:
@@ -349,7 +376,7 @@ def _allocated(world: ProbeSetup, ladder: tuple[float, ...] = SHARES, halvings: 
 
 _DRIVE: dict[str, Callable[[ProbeSetup], Measured]] = {
     **{"curve": _curve, "curves": _curves, "sine": _sine, "loss": _loss, "brake": _brake},
-    **{"causes": _causes, "sudden": _sudden, "share": _share, "rails": _rails},
+    **{"causes": _causes, "sudden": _sudden, "share": _share, "rails": _rails, "lags": _lags},
 }
 
 
@@ -480,11 +507,11 @@ def excessive_slip(scenario: Scenario, car: Vehicle) -> float:
     return float(slips[force / car.wheel_load > APPROACH * peak].max())
 
 
-def nominal(settings: Iterable[str] = SETTINGS) -> pd.DataFrame:
-    """Simulate the runs of `probe` with the nominal car in settings of comparison: one row per metric of a run.
+def nominal(settings: Iterable[str] = COLUMNS) -> pd.DataFrame:
+    """Simulate the runs of `probe` with the nominal car in columns of verdicts: one row per metric of a run.
 
-    Columns scenario, controller, metric, value (in `unit`), unit, setting, swarm (rank of the parameter set by cost, 0
-    is the tuned set), seed (of the sensor noise; 0 without sensors).
+    Columns scenario, controller, metric, value (in `unit`), unit, setting (one of `COLUMNS`), swarm (rank of the
+    parameter set by cost, 0 is the tuned set), seed (of the sensor noise; 0 without sensors).
     """
     tasks = []
     for each in settings:
@@ -505,9 +532,10 @@ def nominal(settings: Iterable[str] = SETTINGS) -> pd.DataFrame:
 
 
 def main(settings: Sequence[str] = ()) -> None:
-    """Write data/results/nominal_metrics.csv: `nominal` in some settings (default all), InputError for others."""
-    unknown = set(settings) - set(SETTINGS)
+    """Write data/results/nominal_metrics.csv: `nominal` in some columns of verdicts (default all), InputError for
+    others."""
+    unknown = set(settings) - set(COLUMNS)
     if unknown:
-        raise InputError(f"setting {min(unknown)!r} is not known; there are {SETTINGS}")
-    table = nominal(settings or SETTINGS)
+        raise InputError(f"setting {min(unknown)!r} is not known; there are {COLUMNS}")
+    table = nominal(settings or COLUMNS)
     write(paths.product("data/results/nominal_metrics.csv"), table.to_csv(index=False, float_format="%.6g"))

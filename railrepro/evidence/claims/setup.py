@@ -13,6 +13,7 @@ from railrepro.simulation.scenarios import Scenario, load_scenario
 from railrepro.studies.world import World
 from railrepro.track.alignment import Alignment, alignments
 from railrepro.tuning import sets
+from railrepro.tuning.task import triple_pole
 
 _FACTOR = Annotated[float, above(0.0, 1e6)]
 
@@ -78,6 +79,17 @@ class ProbeSetup(World):
         return replace(original, segments=(straight, clothoid, *rest))
 
 
+SWARM = "swarm"
+COLUMNS = (PAPER, SWARM, LOOP)
+"""Columns of verdicts: the settings of comparison, and "swarm": the setting `paper` with the poles of NDI that the
+swarm found in place of those by the rule."""
+
+
+def setting_of(column: str) -> str:
+    """Setting of comparison of a column of verdicts."""
+    return PAPER if column == SWARM else column
+
+
 LTV = (MPC[1], "ltv_mpc")
 """Controllers that may stand for LTV-MPC."""
 LTV_R, POLE = "ltv_mpc_printed.r", "ndi.pole"
@@ -87,14 +99,9 @@ PROFILE = "profile"
 """Key of `values` for the wheel profile of the simulated car, which its controllers do not know."""
 
 
-def triple_pole(pole: float) -> dict[str, float]:
-    """Tuning parameters of NDI with all three poles at `pole` (rad/s): keys pole, frequency (rad/s), damping (-)."""
-    return {"pole": pole, "frequency": pole, "damping": 1.0}
-
-
 def setup(
     values: Mapping[str, Any],
-    setting: str = PAPER,
+    column: str = PAPER,
     *,
     controllers: Iterable[str] = PAPER_TRIO,
     rank: int = 0,
@@ -106,7 +113,7 @@ def setup(
         values (mapping): Keys: choices of `ProbeSetup`; "profile"; "brake_sweep:ENTRY", as "brake_sweep:period_end_m"
             (set point of Fig. 9); "CONTROLLER:PARAMETER", as "nmpc:r"; "ndi.pole" (triple pole, rad/s);
             "ltv_mpc_printed.r" (LTV-MPC takes the weights of NMPC with R times this); dotted keys of the vehicle.
-        setting (str): Setting of comparison from which tuning parameters are taken.
+        column (str): Column of verdicts, one of `COLUMNS`, from which tuning parameters are taken.
         controllers (iterable of str): Controllers whose tuning parameters are taken.
         rank (int): Rank of the parameter set among the swarms by cost; 0, or a rank beyond them, is the tuned set.
         seed (int, optional): Seed of the sensors in the setting "loop". Without it, and in other settings, controllers
@@ -115,13 +122,16 @@ def setup(
     Raises:
         InputError: For a key of no such kind, or a factor that is none. `ProbeSetup.checked` checks the other values.
     """
-    parameters = {name: _tuned(name, setting, rank) for name in controllers}
+    require("column", column, str)
+    if column not in COLUMNS:
+        raise InputError(f"column {column!r} is not known; there are {list(COLUMNS)}")
+    parameters = {name: _tuned(name, column, rank) for name in controllers}
     if LTV_R in values:
         require(LTV_R, values[LTV_R], above(0.0, 1e6))
         parameters[MPC[1]] = with_r_times(parameters["nmpc"], values[LTV_R])
     if POLE in values:
         parameters[NDI] = triple_pole(values[POLE])
-    sensors = {"seed": seed} if seed is not None and setting == LOOP else {}
+    sensors = {"seed": seed} if seed is not None and column == LOOP else {}
     vehicle: dict[str, Any] = {}
     plant = {"contact.profile": values[PROFILE]} if values.get(PROFILE) else {}
     require("brake_sweep", values.get("brake_sweep", {}), dict)
@@ -139,10 +149,11 @@ def setup(
             vehicle[name] = value
         else:
             raise InputError(f"{name!r} is set, which nothing has")
-    return ProbeSetup(parameters, setting, vehicle, plant, sensors, **own)
+    return ProbeSetup(parameters, setting_of(column), vehicle, plant, sensors, **own)
 
 
-def _tuned(controller: str, setting: str, rank: int) -> dict[str, Any]:
-    found = sets.load(controller, setting)
+def _tuned(controller: str, column: str, rank: int) -> dict[str, Any]:
+    searched = f"{controller}_swarm" if column == SWARM and controller == NDI else controller
+    found = sets.load(searched, setting_of(column))
     swarms = sorted(found.get("swarms", []), key=lambda swarm: swarm["cost"])
     return dict(swarms[rank]["parameters"] if 0 < rank < len(swarms) else found["parameters"])

@@ -38,7 +38,11 @@ SUDDEN = ("both rails, traction", "both rails, braking", "left rail, traction", 
 RAILS, PREVIEW = "irregular straight", "nmpc, preview"
 """Names of the scenario on irregular rails, and of NMPC that previews them."""
 MPC, NDI = PAPER_TRIO[:2], PAPER_TRIO[2]
-T3, LOSS, BRAKE = "curve_entry_T3", "adhesion_loss", "braking"
+RATES, SHORT = "ndi, rates", "nmpc, horizon of 0.06 s"
+"""NDI that knows the rates of the set point where it is, but nothing ahead; NMPC with hardly any preview."""
+LAGS_MS = (2.0, 7.5, 10.0)
+"""Lags of the drive over their range in data/vehicle.toml (ms); controllers are tuned for its nominal 5 ms."""
+T3, LOSS, BRAKE, FASTEST = "curve_entry_T3", "adhesion_loss", "braking", "sine_tracking 400"
 CASES = (T3, f"{T3} on T5", "sine of 1000 m 160", "sine of 1000 m 400")
 CONES, NO_CREEP, AS_MODELLED = "nmpc on cones", "nmpc, nearly rolling", "nmpc on cones, nearly rolling"
 """Names of NMPC on a car with conical wheels, with nearly no creep, and with the two together; scenarios: `CASES`."""
@@ -253,6 +257,25 @@ def _less_delay(e: Evidence) -> float:
     """Delay of NDI less the larger of both MPC over the shortest wave."""
     own, rival = (max(abs(e(T3, name, "delay")) for name in names) for names in (MPC, [NDI]))
     return (rival - own) / e(T3, NOTHING, "shortest_wave") if np.isfinite(rival) else float("nan")
+
+
+def _because_of_preview(e: Evidence) -> Finding:
+    """Share of the delay between NDI and NMPC that returns without preview; nan where there is no such delay."""
+    own, rival, rates, short = (abs(e(T3, name, "delay")) for name in ("nmpc", NDI, RATES, SHORT))
+    if not rival - own > 0.1 * e(T3, NOTHING, "shortest_wave"):
+        return Finding(float("nan"))
+    return _least([(rates - own) / (rival - own), (short - own) / (rival - own)])
+
+
+def _robust(e: Evidence) -> float:
+    """Largest error of both MPC with another lag of the drive over that with the nominal one, in curve and sine."""
+    found = [
+        e(f"{scenario}, lag {lag:g} ms", name, "rmse_y") / e(scenario, name, "rmse_y")
+        for scenario in (T3, FASTEST)
+        for lag in LAGS_MS
+        for name in MPC
+    ]
+    return float(np.max(found))
 
 
 def _drift_from_model(e: Evidence) -> Finding:
@@ -476,6 +499,8 @@ VALUES: dict[str, Callable[[Evidence], Finding | float]] = {
     ),
     "C42": _less_delay,
     "C44": _similar_times,
+    "C51": _because_of_preview,
+    "C52": _robust,
 }
 """Statement id -> its predicate, a function of `Evidence` that returns a `Finding` or its value."""
 TABLES = dict.fromkeys(VALUES, "nominal_metrics") | {

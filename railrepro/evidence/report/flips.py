@@ -56,7 +56,7 @@ def load(path: Path | str | None = None) -> dict[str, Question]:
 def _setup(answered: Iterable[Question]) -> ProbeSetup:
     """Setup with the answers to questions. InputError for an answer that car, controllers or scenarios refuse."""
     given = {key: value for each in answered for key, value in zip(each.sets, cycle(each.answer), strict=False)}
-    return setup(given, given.pop("setting", PAPER)).checked()
+    return setup(given, given.pop("column", PAPER)).checked()
 
 
 def flips(answered: Mapping[str, Question]) -> pd.DataFrame:
@@ -84,7 +84,7 @@ def flips(answered: Mapping[str, Question]) -> pd.DataFrame:
 
 
 def main(settings: Sequence[str] = ()) -> None:
-    """Command `probe`: simulate what the statements need in `settings`, names of settings of comparison (none: all).
+    """Command `probe`: simulate what the statements need in `settings`, names of columns of verdicts (none: all).
 
     Or, with the path of a filled copy of data/answers.toml: print the statements whose verdict its answers change.
     """

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 import sys
-from functools import partial
 from typing import Annotated, Literal
 
 import jinja2
@@ -17,10 +16,11 @@ import numpy as np
 import pandas as pd
 
 from railrepro import data, paths
-from railrepro.control.registry import PAPER, SETTINGS, parameters
+from railrepro.control.registry import PAPER, parameters
 from railrepro.data import write
 from railrepro.evidence.claims import calibrated, statements
 from railrepro.evidence.claims.nominal import METRICS, Nominal
+from railrepro.evidence.claims.setup import COLUMNS
 from railrepro.evidence.claims.statements import REPRODUCED, Finding, MissingEvidence
 from railrepro.evidence.report import claims, flips
 from railrepro.simulation.scenarios import load_scenario
@@ -79,7 +79,7 @@ class Page:
         judged (DataFrame): Verdicts as from `claims.evaluate`.
         nominal (Nominal): Stored metrics.
 
-    In all methods `setting` is a setting of comparison, "paper", "equal" or "loop", or "" for tables that do not depend
+    In all methods `setting` is a column of verdicts, "paper", "swarm" or "loop", or "" for tables that do not depend
     on it; `identity` is the id of a statement, as "C05".
     """
 
@@ -101,11 +101,11 @@ class Page:
         self._jinja.globals |= {
             "mark": {identity: MARKS.get(verdict) for identity, verdict in self.verdicts.items()},
             "calibrated": judged.set_index("id")["calibrated"].map({"yes": "✓", "no": "✗", "": ""}).to_dict(),
-            "settings": SETTINGS,
+            "settings": COLUMNS,
             "task": load_task(),
             "choices": calibrated.load(),
             "tuned": parameters,
-            "swarm": partial(sets.load, searched=True),
+            "load": sets.load,
             "scenario": load_scenario,
             "csv": csv,
             "marks": MARKS,

@@ -1,4 +1,4 @@
-"""Runs of all tuned sets in the three settings of comparison, and their table of metrics."""
+"""Runs of all tuned sets in the settings of comparison, and their table of metrics."""
 
 from __future__ import annotations
 

@@ -5,20 +5,16 @@ from __future__ import annotations
 from bisect import bisect_left
 from itertools import product
 
-import numpy as np
 import pandas as pd
 
 from railrepro import paths
-from railrepro.control.registry import CONTROLLERS, LOOP, SETTINGS, SHOWN, parameters, tuned
+from railrepro.control.registry import BY_SWARM, CONTROLLERS, LOOP, PAPER, SHOWN, parameters
 from railrepro.data import write
-from railrepro.estimation.sensors import load_loop
 from railrepro.simulation.scenarios import load_scenario
-from railrepro.studies import store
-from railrepro.studies.executor import ordered_map, work
+from railrepro.studies.executor import ordered_map
 from railrepro.studies.experiment import Experiment
 from railrepro.tuning.cost import driven
-from railrepro.tuning.margin import disk_margin, sensitivity
-from railrepro.vehicle.parameters import load_vehicle
+from railrepro.tuning.margin import peaks
 
 LONGEST_MS = 15
 """Longest delay that is tried (ms)."""
@@ -29,7 +25,7 @@ def delay_margin(setting: str, controller: str) -> float:
     """Largest delay (s) added to the torque command with which no wheel touches its flange at 400 km/h on poor rail.
 
     Whole milliseconds up to `LONGEST_MS` are tried, by bisection. NaN if a flange is touched without added delay.
-    `setting` ("paper", "equal", "loop") and `controller` (key of `registry.CONTROLLERS`) select the tuned set.
+    `setting` and `controller` (key of `registry.CONTROLLERS`) select the tuned set.
     """
     sensors = {"seed": 101} | ({} if setting == LOOP else {"perfect": True})
     scenario, quick = load_scenario("adhesion_loss").but(end_m=600.0), CONTROLLERS[controller].quick
@@ -44,27 +40,19 @@ def delay_margin(setting: str, controller: str) -> float:
     return 1e-3 * (bisect_left(range(LONGEST_MS + 1), True, lo=1, key=fails) - 1)
 
 
-def peaks(setting: str, controller: str, speed_kmh: float) -> dict:
-    """Dict peak_sensitivity (max |S| at the torque), disk_margin (-) of a tuned controller; inf and 0 if unstable."""
-    around = load_loop() if setting == LOOP else None
-    read = controller, speed_kmh, parameters(controller, setting), around, load_vehicle()
-    key = store.key(__name__, "sensitivity", read)
-    return store.entry(key, lambda: work(_peaks, setting, controller, speed_kmh))[0]
-
-
-def _peaks(setting: str, controller: str, speed_kmh: float) -> store.Entry:
-    guidance = tuned(controller, CONTROLLERS[controller].quick, setting)
-    found = sensitivity(guidance, speed_kmh, {"seed": 101} if setting == LOOP else None)
-    largest, margin = (float("inf"), 0.0) if found is None else (float(np.abs(found).max()), disk_margin(found))
-    return {"peak_sensitivity": largest, "disk_margin": margin}, None
+def sensitive(case: tuple[str, str, float]) -> dict:
+    """`peaks` of a tuned set; `case` is the setting, the controller and the speed (km/h)."""
+    setting, controller, speed = case
+    return peaks(controller, parameters(controller, setting), speed, setting == LOOP)
 
 
 def main() -> None:
-    """Write data/results/margins.csv (`delay_margin`) and sensitivity.csv (`peaks`) of the controllers `SHOWN`."""
-    pairs = [*product(SETTINGS, SHOWN)]
+    """Write data/results/margins.csv (`delay_margin`) and sensitivity.csv (`peaks`) of the controllers `SHOWN` and, on
+    `paper`, `BY_SWARM`."""
+    pairs = [*product([PAPER], (*SHOWN, *BY_SWARM)), *product([LOOP], SHOWN)]
     loops = [(*pair, speed) for pair in pairs for speed in _KMH]
     delays = ordered_map(lambda pair: delay_margin(*pair), pairs, "delay margins")
-    found = ordered_map(lambda case: peaks(*case), loops, "sensitivity")
+    found = ordered_map(sensitive, loops, "sensitivity")
     margins = pd.DataFrame(pairs, columns=["setting", "controller"]).assign(delay_margin_s=delays)
     measured = pd.DataFrame(loops, columns=["setting", "controller", "speed_kmh"]).join(pd.DataFrame(found))
     for name, rows in {"margins": margins, "sensitivity": measured}.items():

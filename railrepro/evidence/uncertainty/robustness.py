@@ -13,21 +13,23 @@ import pandas as pd
 from scipy import stats
 
 from railrepro import paths
-from railrepro.control.registry import CONTROLLERS, PAPER, PAPER_TRIO, SETTINGS
+from railrepro.control.registry import CONTROLLERS, PAPER, PAPER_TRIO
 from railrepro.data import write
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.probe import ONCE, PARTS, probe
-from railrepro.evidence.claims.setup import POLE, ProbeSetup, setup
+from railrepro.evidence.claims.setup import COLUMNS, POLE, SWARM, ProbeSetup, setting_of, setup
 from railrepro.studies.executor import ordered_map
-from railrepro.tuning import sets
+from railrepro.tuning import margin
 from railrepro.tuning.cost import driven, run_cost
 from railrepro.tuning.swarm import Dimension
-from railrepro.tuning.task import load_task
+from railrepro.tuning.task import load_task, triple_pole
+from railrepro.tuning.tune import fastest_pole
 from railrepro.vehicle.parameters import load_vehicle, sample_ranges
 
 SAMPLES, LONG, SEED = 128, 32, 2026
-"""Samples per setting, the same in each; so many at the begin also have the (long) runs of `probe.ONCE`; seed."""
+"""Samples per column of verdicts, the same in each; number of those that also have the long runs of `probe.ONCE`;
+seed."""
 TUNING, JUDGING = 1, 101
 """Seeds of the noise, in the setting `loop`."""
 OPEN = (
@@ -45,6 +47,8 @@ OPEN = (
 )
 """What the paper leaves open besides the vehicle: fields of `ProbeSetup`, choices of two, creep slopes of poor rail."""
 _PROFILE, _LTV, _RATIO = OPEN[0].name, OPEN[1].name, OPEN[-1].name
+_POLE_BOUNDS = 5, 80
+"""Triple poles between which the rule is applied on sampled cars (rad/s)."""
 LABELS = ("number", "setting", "profile", "ltv")
 
 
@@ -62,7 +66,7 @@ class Sample:
 
     Attributes:
         number (int): Index in the Sobol sequence of `draw`.
-        setting (str): Setting of comparison, one of `SETTINGS`.
+        setting (str): Column of verdicts, one of `COLUMNS`.
         values (tuple): Pairs of dimension name (see `prior`) and value in its unit; dimensions not named stay nominal.
     """
 
@@ -81,8 +85,10 @@ class Sample:
         return setup(v, self.setting, seed=seed)
 
 
-def draw(count: int = SAMPLES, settings: Sequence[str] = SETTINGS) -> list[Sample]:
-    """Draw `count` quasi-random samples of `prior` (scrambled Sobol sequence) per setting, the same values in each."""
+def draw(count: int = SAMPLES, settings: Sequence[str] = COLUMNS) -> list[Sample]:
+    """Draw `count` quasi-random samples of `prior` (scrambled Sobol sequence) for each column of verdicts.
+
+    All columns have the same values."""
     dimensions = prior()
     points = stats.qmc.Sobol(len(dimensions), seed=SEED).random(count)
     values = [tuple((d.name, d.value(float(u))) for d, u in zip(dimensions, point, strict=True)) for point in points]
@@ -104,19 +110,28 @@ def evaluate(sample: Sample) -> dict:
 
 
 def _retuned(sample: Sample, name: str) -> dict:
-    """The best of three scales of a controller's tuned set, by the cost of tuning; designed sets stay as they are."""
-    task, base = load_task(setting=sample.setting), sets.load(name, sample.setting)["parameters"]
-    if name in task.designed:
-        return base
+    """Tuning parameters of a controller on a sampled car, which keep the margin of the tuning task there.
+
+    By the swarm: the best of three scales of its tuned set, by the cost of tuning; without the margin the one that
+    misses it least. By the rule of poles: `fastest_pole` on this car.
+    """
+    task, world = load_task(setting=setting_of(sample.setting)), sample.world(TUNING)
+    speeds, least, around = task.margin["speeds_kmh"], task.margin["least"], (task.sensed, world.car())
+    if name in task.rule and sample.setting == PAPER:
+        given = task.rule[name]
+        return triple_pole(fastest_pole(name, task, given, _POLE_BOUNDS, world.car())) | given
     runs = [run for run_name, run in task.runs.items() if run_name in ("T3", "sine", "poor")]
-    preview = CONTROLLERS[name].preview
-    world, best, chosen = sample.world(TUNING), np.inf, base
+    base, preview, costs = world.parameters[name], CONTROLLERS[name].preview, []
     for scale in (0.1, 1.0, 10.0) if preview else (0.7, 1.0, 1.4):
-        parameters = base | {key: base[key] * scale for key in (("r",) if preview else ("pole", "frequency"))}
-        driven_runs = [world.experiment(run.scenario, name, parameters).measured(driven)[0] for run in runs]
-        cost = sum(run_cost(parts, task.cost) for parts in driven_runs)
-        best, chosen = (cost, parameters) if cost < best else (best, chosen)
-    return chosen
+        scaled = base | {key: base[key] * scale for key in (("r",) if preview else ("pole", "frequency"))}
+        driven_runs = [world.experiment(run.scenario, name, scaled).measured(driven)[0] for run in runs]
+        costs.append((sum(run_cost(parts, task.cost) for parts in driven_runs), scale, scaled))
+    found = []
+    for _, _, scaled in sorted(costs, key=lambda one: one[:2]):
+        found.append((margin.smallest(name, scaled, speeds, least, *around), scaled))
+        if found[-1][0] >= least:
+            break
+    return max(found, key=lambda one: one[0])[1]
 
 
 def holds(table: pd.DataFrame) -> pd.DataFrame:
@@ -202,9 +217,8 @@ def over_poles() -> pd.DataFrame:
     (of the statement), value (in the unit of the statement), verdict (text of `Statement.judge`).
     """
     spread, known = Nominal().evidence(PAPER).spread, statements.load()
-    swarm = sets.load(statements.NDI, PAPER, searched=True)["parameters"]
     worlds = {str(pole): setup({POLE: float(pole)}) for pole in POLES}
-    worlds["swarm"] = setup({f"{statements.NDI}:{name}": value for name, value in swarm.items()})
+    worlds[SWARM] = setup({}, SWARM)
 
     def judged(poles: str) -> list[tuple]:
         seen = probe(worlds[poles], ("curve", "sine", "brake"))
@@ -220,7 +234,7 @@ def main() -> None:
     """Write pole_verdicts (`over_poles`), robustness_samples (`evaluate`), robustness_claims (`decided`) as csv."""
     write(paths.product("data/results/pole_verdicts.csv"), over_poles().to_csv(index=False, float_format="%.6g"))
     finished = []
-    for setting in SETTINGS:
+    for setting in COLUMNS:
         drawn = draw(SAMPLES, settings=(setting,))
         finished.append(pd.DataFrame(ordered_map(evaluate, drawn, f"robustness, {setting}")))
         table, found = pd.concat(finished), pd.concat([decided(each) for each in finished])
