@@ -36,7 +36,7 @@ import pandas as pd
 
 from railrepro import __version__, data, paths
 from railrepro.control import lateral
-from railrepro.control.registry import CONTROLLERS, LOOP, NOTHING, PAPER, SHOWN, Controller
+from railrepro.control.registry import CONTROLLERS, INVERSIONS, LOOP, NOTHING, PAPER, SETTINGS, SHOWN, Controller
 from railrepro.data import InputError
 from railrepro.estimation.sensors import Loop, readings
 from railrepro.evidence.uncertainty import limit as bound
@@ -87,7 +87,7 @@ def cases(seed: int, names: Sequence[str] | None = None) -> list[Experiment]:
     the keys scenario (name of the run), setting and group; runs of one group count as one in the score.
     """
     found = []
-    for setting, (name, group, draw, scenario, more) in product((PAPER, LOOP), _runs(seed)):
+    for setting, (name, group, draw, scenario, more) in product(SETTINGS, _runs(seed)):
         if names is not None and name not in names:
             continue
         delay = more.get("sensors", {})
@@ -212,8 +212,8 @@ def _driven(of: Path | type, case: Experiment) -> dict:
     try:
         own = load_class(of) if isinstance(of, Path) else of
         tables = getattr(own, "tuned", {})
-        if set(tables) - {PAPER, LOOP}:
-            raise InputError(f"{own.__name__}: `tuned` has the settings {sorted(tables)}, there are {[PAPER, LOOP]}")
+        if set(tables) - {*SETTINGS}:
+            raise InputError(f"{own.__name__}: `tuned` has the settings {sorted(tables)}, there are {[*SETTINGS]}")
         asked = replace(case, controller=_registered(own), parameters=tables.get(case.setting, {}))
         return _row(asked.run(), asked)[0]
     except BaseException as error:  # a user's controller may raise whatever it likes
@@ -361,7 +361,7 @@ def ranking(cards: pd.DataFrame) -> pd.DataFrame:
     cards = cards[cards["seed"] != PUBLISHED]
     totals = cards[(cards["setting"] == ALL) & (cards["metric"] == "score")].groupby("controller")["value"]
     mean = cards.pivot_table(index="controller", columns=["metric", "setting"], values="value")
-    columns = {"ranked": totals.mean(), "spread": totals.std(), PAPER: mean["score", PAPER], LOOP: mean["score", LOOP]}
+    columns = {"ranked": totals.mean(), "spread": totals.std()} | {name: mean["score", name] for name in SETTINGS}
     columns |= {"margins": mean[MARGINS].mean(axis=1), "runs failed": mean["failures"].sum(axis=1)}
     columns |= {f"{name} (mm), loop": 1e3 * mean.get((name, LOOP), np.nan) for name in ("error", "limit")}
     columns["torque (N m), loop"] = mean.get(("effort_du", LOOP), np.nan)
@@ -418,8 +418,12 @@ def main(controller: str, seed: int | None = None, ranked: bool = False) -> None
 
 
 def leaderboard() -> None:
-    """Score `SHOWN`, no guidance and two of examples/ on 6 seeds; write `LEADERBOARD` (`card`), print the `ranking`."""
-    entries = [*SHOWN, NOTHING, *(paths.ROOT / f"examples/{name}.py" for name in ("only_y", "pid"))]
+    """Score `SHOWN`, no guidance and two of examples/ on 6 seeds; write `LEADERBOARD` (`card`), print the `ranking`.
+
+    Inversions have the poles of the swarm in both settings, as the other controllers have its weights.
+    """
+    shown = [f"{name}_swarm" if name in INVERSIONS else name for name in SHOWN]
+    entries = [*shown, NOTHING, *(paths.ROOT / f"examples/{name}.py" for name in ("only_y", "pid"))]
     found = pd.concat([card(score(of, (PUBLISHED, *RANKED))) for of in entries], ignore_index=True)
     data.write(paths.product(LEADERBOARD), found.to_csv(index=False, float_format="%.6g"))
     print(ranking(found).round(1).to_string())

@@ -36,7 +36,10 @@ FAULTS = {
     "two classes": (SLOW.format("return 0.0") + LAW.format("return 0"), "found ['Mine', 'Own']"),
     "throws": (SLOW.format("return 1 / 0"), "own.py, line 7: ZeroDivisionError: division by zero"),
     "law without its symbol": (LAW.format("return q.height"), "own.py, line 4: lateral law Own: torque() asks for"),
-    "wrong setting": (LAW.format("return 0 * q.held") + "    tuned = {'equal': {}}", "has the settings ['equal'], there"),
+    "wrong setting": (
+        LAW.format("return 0 * q.held") + "    tuned = {'equal': {}}",
+        "has the settings ['equal'], there",
+    ),
     "derails": (SLOW.format("return 3000.0"), "gear derailed, |y| = 30."),
 }
 
