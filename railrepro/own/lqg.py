@@ -278,7 +278,7 @@ class LqgGear:
 
 @dataclass(frozen=True)
 class LqgPreview:
-    """Guidance for `simulate.run`: the LQG controller with preview, as a factory. Notebook `11_lqg` derives
+    """Guidance for `simulate.run`: the LQG controller with preview, as a factory. Notebook `12_lqg` derives
     settings."""
 
     change: Annotated[float, between(1e-13, 1e-3, "m2/(N m)2")] = 1.5e-9

@@ -1,7 +1,7 @@
 """Vehicles whose critical speeds other people published, built from our car: a lab wheelset and Cooperrider's bogie.
 
 Each is the car with data and a contact table of its own, of which some bodies are held or stand on further springs.
-`python tests/validation/published.py` writes data/results/published_vehicles.csv, which `14_validation` shows.
+`python tests/validation/published.py` writes data/results/published_vehicles.csv, which `15_car` shows.
 
 Serves the paper's section Simulation Environment.
 """
