@@ -1,7 +1,12 @@
-"""What the chapters of the book share besides `railrepro`: sentences with their conditions, figures with one look, the
-calibrated car, and the ratio of gains that explains the steady error."""
+"""What the chapters of the book share besides `railrepro`: sentences with their conditions, figures with one look,
+lines of the library, the calibrated car, and the ratio of gains that explains the steady error."""
 
 from __future__ import annotations
+
+import ast
+import inspect
+import textwrap
+from collections.abc import Callable
 
 import numpy as np
 
@@ -14,7 +19,21 @@ from railrepro.model.control_model import PSI_AX, PSI_TRAX, STATES, XDOT, X, Y
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.vehicle.parameters import load_vehicle
 
-__all__ = ["calibrated", "figures", "gain_ratio", "sentences"]
+__all__ = ["calibrated", "figures", "gain_ratio", "sentences", "source"]
+
+
+def source(*of: Callable) -> None:
+    """Display the lines of functions or classes of the library, without their docstrings, as they run."""
+    from IPython.display import Markdown, display  # the library does without it
+
+    for each in of:
+        lines = textwrap.dedent(inspect.getsource(each)).splitlines()
+        left_out: set[int] = set()
+        for node in ast.walk(ast.parse("\n".join(lines))):
+            if isinstance(node, ast.FunctionDef | ast.ClassDef) and ast.get_docstring(node) is not None:
+                left_out |= set(range(node.body[0].lineno, (node.body[0].end_lineno or 0) + 1))
+        code = "\n".join(line for number, line in enumerate(lines, 1) if number not in left_out)
+        display(Markdown(f"`{each.__module__}.{each.__qualname__}`\n\n```python\n{code}\n```"))
 
 
 def gain_ratio(controller: str, setting: str, speed: float) -> float:

@@ -1,6 +1,7 @@
-"""Sentences that a notebook prints about its runs, each with the condition under which it is true.
+"""Sentences that a notebook says about its runs, each with the condition under which it is true.
 
-With the committed inputs a false sentence makes the run fail; with other values it is only marked as false.
+A cell shows its sentences as one paragraph. With the committed inputs a false sentence makes the run fail; with other
+values it is only marked as false.
 """
 
 from __future__ import annotations
@@ -29,8 +30,9 @@ class Sentences(list):
 def sentences() -> Iterator[Sentences]:
     """Context manager: collect sentences (`with sentences() as says: says("…", holds)`) and display them at its end.
 
-    Sentences that do not hold are marked with `MARK`. A LookupError, ValueError or ArithmeticError in the block, as
-    from a missing value, ends the block; a last sentence that does not hold then names the error.
+    They become one paragraph with their number below it; those that do not hold are marked with `MARK`. A LookupError,
+    ValueError or ArithmeticError in the block, as from a missing value, ends the block; a last sentence that does not
+    hold then names the error.
     """
     from IPython.display import display  # the library does without it
 
@@ -39,10 +41,13 @@ def sentences() -> Iterator[Sentences]:
         yield said
     except (LookupError, ValueError, ArithmeticError) as error:
         said.append((f"sentences from here on need values that are missing ({type(error).__name__}: {error})", False))
-    marked = "\n".join(f"- ✓ {text}" if true else f"- <mark>**✗ {MARK}:**</mark> {text}" for text, true in said)
-    plain = "\n".join(f"✓ {text}" if true else f"✗ {MARK}: {text}" for text, true in said)
     false = [text for text, true in said if not true]
-    display({"text/markdown": marked, "text/plain": plain}, raw=True, metadata={_KEY: false} if false else {})
+    count = f"{len(said)} sentence{'s' if len(said) > 1 else ''} checked against the results"
+    count += f", {len(false)} of them false" if false else ""
+    marked = " ".join(text if true else f"<mark>**{MARK}:** {text}</mark>" for text, true in said)
+    plain = " ".join(text if true else f"[{MARK}: {text}]" for text, true in said)
+    shown = {"text/markdown": f"{marked}\n\n<small>{count}.</small>", "text/plain": f"{plain}\n({count}.)"}
+    display(shown, raw=True, metadata={_KEY: false} if false else {})
 
 
 def false_in(cells: list[dict]) -> list[str]:
