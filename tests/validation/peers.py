@@ -151,7 +151,7 @@ def compare(recording: speed.Recording, vehicle: Vehicle, rounds: int = 3) -> pd
 def main(count: int = 6) -> None:
     """Compare on the curve entry, print the table and write it.
 
-    The problems are those of our tuned set, and of the paper's setting with the paper's discretisation, each with
+    The problems are those of the setting `loop`, and of `paper` with the discretisation that the paper has, each with
     bounds far and near.
     """
     vehicle = load_vehicle()
