@@ -13,7 +13,7 @@ import pandas as pd
 from scipy import stats
 
 from railrepro import paths
-from railrepro.control.registry import CONTROLLERS, PAPER, PAPER_TRIO
+from railrepro.control.registry import CONTROLLERS, LOOP, PAPER, PAPER_TRIO
 from railrepro.data import write
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal
