@@ -42,7 +42,7 @@ class Edit(NamedTuple):
     quick: bool = False
 
 
-VEHICLE, TRACKS, SCENARIOS = ("data/vehicle.toml", "data/tracks.toml", "data/scenarios.toml")
+VEHICLE, TRACKS, SCENARIOS, TUNING = (f"data/{name}.toml" for name in ("vehicle", "tracks", "scenarios", "tuning"))
 HEAVY = {VEHICLE: ("value = 26000.0", "value = 24000.0")}
 CONES = {VEHICLE: ('value = "s1002"', 'value = "cone"')}
 EDITS = [
@@ -64,7 +64,12 @@ EDITS = [
     Edit("04", {"driven": ["sine_tracking"]}, marks=True),
     Edit("04", texts=HEAVY),
     Edit("05", {"controllers": ["nmpc_observer", "ndi"]}),
-    Edit("05", {"check_controllers": ["ndi"], "tolerance": 1e-9}),
+    Edit("05", {"check_controllers": None, "tolerance": 1e-9}),
+    Edit("05", {"particles": 12, "seed": 7, "map_points": 2}),
+    Edit("05", {"nmpc_particles": 1, "iterations": 1}, marks=True),
+    Edit("05", {"poles": [40], "r_factors": [0.5, 2]}, marks=True),
+    Edit("05", texts={TUNING: ("speeds_kmh = [400, 300, 200, 100]", "speeds_kmh = [400]")}),
+    Edit("05", texts={TUNING: ("least = 0.5", "least = 0.3")}, marks=True),
     Edit("05", {"controllers": ["lqg_preview"], "check_controllers": ["lqg_preview"]}, marks=True),
     Edit("05", {"controllers": ["ltv_mpc", "lqg_preview"], "check_controllers": ["ltv_mpc"]}, marks=True),
     Edit("06", {"end_m": 100.0, "ndi_poles": [20, 40]}, marks=True),
