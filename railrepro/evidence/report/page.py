@@ -217,11 +217,6 @@ class Page:
         """Median over the scenarios of a `column` of solve_times.csv (ms) for a `solver`, in the setting "paper"."""
         return float(statements.usual_times(self.nominal.evidence(PAPER), solver, column).median())
 
-    def figure(self, name: str, car: str) -> pd.DataFrame:
-        """Read figures/NAME.csv: its rows in the setting "paper" for a `car`, "uncalibrated" or "calibrated"."""
-        table = pd.read_csv(paths.source(f"figures/{name}.csv"))
-        return table[(table["setting"] == PAPER) & (table["car"] == car)]
-
     def value(self, identity: str) -> str:
         """Value behind the headline verdict of a statement (id, as "C05") as Markdown: "[value unit](its table)"."""
         own = self.judged[(self.judged["id"] == identity) & self.judged["setting"].isin(("", claims.HEADLINE))]
