@@ -28,8 +28,8 @@ PARTS = ("curve", "sine", "loss", "brake")
 """What Figs. 6 to 9 show, see `probe.PARTS`."""
 SIZES, DRAWS, SEED = (0.01, 0.03), 20, 2026
 """Largest relative perturbations, draws of each, seed of the first."""
-WAVE, WAVES = "brake_sweep:period_end_m", (10.0, 12.5, 15.0, 17.5, 20.0, 25.0, 30.0, 40.0)
-"""Shortest wave of Fig. 9 (m), which some statements want small and others large, and its levels."""
+R_FACTORS = (0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0)
+"""Factors on the one R of NMPC (-), which some statements want small and others large."""
 _LARGEST = {"adhesion.poor.k_a": 1.0, "adhesion.poor.k_s": 1.0}
 
 
@@ -125,9 +125,11 @@ def perturbed(choices: Mapping[str, Choice], size: float, draw: int) -> dict[str
     return values
 
 
-def conflict(wave: float) -> pd.DataFrame:
-    """Table of `judged` for the calibrated car whose set point of Fig. 9 ends with the wavelength `wave` (m)."""
-    return judged(setup(_values(load()) | {WAVE: wave}), ["brake"]).assign(wave_m=wave)
+def conflict(factor: float) -> pd.DataFrame:
+    """Table of `judged` for the calibrated car with R of NMPC times `factor` in all figures, with a column r_factor."""
+    values = _values(load())
+    r = setup(values).parameters["nmpc"]["r"]
+    return judged(setup(values | {"nmpc:r": factor * r})).assign(r_factor=factor)
 
 
 def undone(name: str) -> pd.DataFrame:
@@ -149,7 +151,7 @@ def main() -> None:
     cases = [_values(choices), *(perturbed(choices, size, draw) for size, draw in moves)]
     judgements = ordered_map(lambda case: judged(setup(case)), cases, "calibrated car")
     without = pd.concat(ordered_map(undone, [*choices], "one choice undone"))
-    conflicts = pd.concat(ordered_map(conflict, WAVES, "conflicts"))
+    conflicts = pd.concat(ordered_map(conflict, R_FACTORS, "conflicts"))
     kept, *held = (set(found.loc[found["holds"], "statement"]) for found in judgements)
     rows = [(*move, len(each), " ".join(sorted(kept - each))) for move, each in zip(moves, held, strict=True)]
     moved = pd.DataFrame(rows, columns=["size", "draw", "holds", "falls"])
