@@ -13,8 +13,8 @@ class PID:
     """Differential torque from error, its integral and its rate, with the yaw rate for damping."""
 
     memory = ("integral",)  # starts at 0
-    tuned = {  # keyword arguments per setting of comparison: equal (perfect measurements), loop (behind sensors)
-        "equal": {"pole": 20.0, "share": 0.05},
+    tuned = {  # keyword arguments per setting of comparison: paper (perfect measurements), loop (behind sensors)
+        "paper": {"pole": 20.0, "share": 0.05},
         "loop": {"pole": 15.0, "share": 0.05},
     }
 

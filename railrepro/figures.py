@@ -54,7 +54,7 @@ _content = files.read(paths.source(_FILE))
 _SETTINGS = Entries({_MATPLOTLIB: _content.pop(_MATPLOTLIB)}, _FILE)
 LOOKS = Entries(files.build(dict[str, Look], _content, "style.toml"), _FILE)
 """Controller, or "set point", -> `Look`."""
-SETTING_MARKERS = {"paper": "o", "equal": "s", "loop": "^"}
+SETTING_MARKERS = {"paper": "o", "loop": "^"}
 """Setting of comparison -> marker, in figures whose colours tell controllers apart."""
 
 

@@ -37,7 +37,7 @@ READERS = {
     "data/tuning.toml": lambda file: [load_task(file, setting) for setting in SETTINGS],
     "data/claims.toml": statements.load,
     "notebooks/chain.toml": chain.load,
-    "data/tuned/equal/ndi.json": lambda file: registry.read("ndi", "equal", file.parent),
+    "data/tuned/loop/ndi.json": lambda file: registry.read("ndi", "loop", file.parent),
     "data/tracks/T3.csv": read_table,
 }
 RANGED = {name: READERS[name] for name in [*READERS][:5]} | {"data/irregularities.toml": lambda file: track_quality()}

@@ -36,7 +36,7 @@ import pandas as pd
 
 from railrepro import __version__, data, paths
 from railrepro.control import lateral
-from railrepro.control.registry import CONTROLLERS, EQUAL, LOOP, NOTHING, SHOWN, Controller
+from railrepro.control.registry import CONTROLLERS, INVERSIONS, LOOP, NOTHING, PAPER, SETTINGS, SHOWN, Controller
 from railrepro.data import InputError
 from railrepro.estimation.sensors import Loop, readings
 from railrepro.evidence.uncertainty import limit as bound
@@ -81,13 +81,13 @@ _LARGEST = ("y_over_q", "sum_y_over_limit", "wheel_unloading")
 def cases(seed: int, names: Sequence[str] | None = None) -> list[Experiment]:
     """Runs of the suite as experiments without guidance; `drive` puts the controller to be scored into them.
 
-    Each run is there twice: in the setting "equal" with exact measurements, in "loop" with sensors. `seed` (0 to 2^31)
+    Each run is there twice: in the setting "paper" with exact measurements, in "loop" with sensors. `seed` (0 to 2^31)
     determines sensor noise and biases, irregularities and the values of the parameters `MISMATCH`. `names` selects runs
     by name, as "curve_T3" (default all); InputError when no run has one of the names. The label of an experiment has
     the keys scenario (name of the run), setting and group; runs of one group count as one in the score.
     """
     found = []
-    for setting, (name, group, draw, scenario, more) in product((EQUAL, LOOP), _runs(seed)):
+    for setting, (name, group, draw, scenario, more) in product(SETTINGS, _runs(seed)):
         if names is not None and name not in names:
             continue
         delay = more.get("sensors", {})
@@ -212,8 +212,8 @@ def _driven(of: Path | type, case: Experiment) -> dict:
     try:
         own = load_class(of) if isinstance(of, Path) else of
         tables = getattr(own, "tuned", {})
-        if set(tables) - {EQUAL, LOOP}:
-            raise InputError(f"{own.__name__}: `tuned` has {sorted(tables)}, only {[EQUAL, LOOP]} are known")
+        if set(tables) - {*SETTINGS}:
+            raise InputError(f"{own.__name__}: `tuned` has the settings {sorted(tables)}, there are {[*SETTINGS]}")
         asked = replace(case, controller=_registered(own), parameters=tables.get(case.setting, {}))
         return _row(asked.run(), asked)[0]
     except BaseException as error:  # a user's controller may raise whatever it likes
@@ -275,7 +275,7 @@ def ends_of_the_scale(case: Experiment) -> dict[str, float]:
     """
     row = drive(NOTHING, case)
     found = {"nothing": float("inf") if row["failure"] else cost(row), "best": 0.0, "limit": float("nan")}
-    if case.setting == EQUAL:
+    if case.setting == PAPER:
         return found
     scenario, loop = case.scenario, readings(**case.sensors).loop
     # the limit grows with speed
@@ -355,13 +355,13 @@ def ranking(cards: pd.DataFrame) -> pd.DataFrame:
     """Rank controllers from their concatenated `card` tables: one row per controller, the best first.
 
     All values are means over the seeds other than `PUBLISHED`. Columns: ranked, score over both settings; spread,
-    standard deviation of ranked between seeds; equal and loop, score per setting; margins (all 0 to 100); "runs
+    standard deviation of ranked between seeds; paper and loop, score per setting; margins (all 0 to 100); "runs
     failed", number per seed; with sensors "error (mm), loop", "limit (mm), loop" and "torque (N m), loop" (RMS).
     """
     cards = cards[cards["seed"] != PUBLISHED]
     totals = cards[(cards["setting"] == ALL) & (cards["metric"] == "score")].groupby("controller")["value"]
     mean = cards.pivot_table(index="controller", columns=["metric", "setting"], values="value")
-    columns = {"ranked": totals.mean(), "spread": totals.std(), EQUAL: mean["score", EQUAL], LOOP: mean["score", LOOP]}
+    columns = {"ranked": totals.mean(), "spread": totals.std()} | {name: mean["score", name] for name in SETTINGS}
     columns |= {"margins": mean[MARGINS].mean(axis=1), "runs failed": mean["failures"].sum(axis=1)}
     columns |= {f"{name} (mm), loop": 1e3 * mean.get((name, LOOP), np.nan) for name in ("error", "limit")}
     columns["torque (N m), loop"] = mean.get(("effort_du", LOOP), np.nan)
@@ -418,8 +418,12 @@ def main(controller: str, seed: int | None = None, ranked: bool = False) -> None
 
 
 def leaderboard() -> None:
-    """Score `SHOWN`, no guidance and two of examples/ on 6 seeds; write `LEADERBOARD` (`card`), print the `ranking`."""
-    entries = [*SHOWN, NOTHING, *(paths.ROOT / f"examples/{name}.py" for name in ("only_y", "pid"))]
+    """Score `SHOWN`, no guidance and two of examples/ on 6 seeds; write `LEADERBOARD` (`card`), print the `ranking`.
+
+    Inversions have the poles of the swarm in both settings, as the other controllers have its weights.
+    """
+    shown = [f"{name}_swarm" if name in INVERSIONS else name for name in SHOWN]
+    entries = [*shown, NOTHING, *(paths.ROOT / f"examples/{name}.py" for name in ("only_y", "pid"))]
     found = pd.concat([card(score(of, (PUBLISHED, *RANKED))) for of in entries], ignore_index=True)
     data.write(paths.product(LEADERBOARD), found.to_csv(index=False, float_format="%.6g"))
     print(ranking(found).round(1).to_string())

@@ -10,7 +10,6 @@ import html
 import json
 import zlib
 from dataclasses import asdict
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +20,7 @@ from railrepro.car.component import SteppedCar
 from railrepro.compile import cache, codegen
 from railrepro.control import interface
 from railrepro.control.lateral import Guidance, ZeroOrderHold
-from railrepro.control.registry import CONTROLLERS, guidance, parameters
+from railrepro.control.registry import CONTROLLERS, tuned
 from railrepro.data import Quantity, between, write
 from railrepro.export.car import car_fmu
 from railrepro.export.controller import Export
@@ -38,11 +37,12 @@ FIGURES = {
     "Figure 8: poor rail, 400 km/h": "adhesion_loss",
     "Figure 9: braking, T2, 160 km/h": "braking",
 }
-SHOWN = {"nmpc": "NMPC", "ltv_mpc": "LTV-MPC", "ltv_mpc_printed": "LTV-MPC as printed", "ndi": "NDI"}
+SHOWN = {"nmpc": "NMPC", "nmpc_observer": "NMPC with offset observer", "ltv_mpc": "LTV-MPC"}
+SHOWN |= {"ltv_mpc_printed": "LTV-MPC as printed", "ndi": "NDI", "ndi_swarm": "NDI, poles by swarm"}
 SHOWN |= {"ndi_feedforward": "NDI with rates of the set point", "ndi_integral": "NDI with rates and integral"}
+"""Controllers of the setting `paper`, as the page has no sensors."""
 OWN = "own"
 """Name of the controller module that holds the torque of a user's law, written in the page."""
-SETTINGS = {"paper": "paper: tuned on dry rail", "equal": "equal: all tuned alike"}
 FACTORS = {"force": between(0.0, 2.0), "r": between(1e-3, 1e4), "faster": between(0.1, 5.0)}
 """Range of what the page multiplies: the force demand, R of the predictive controllers, the poles of NDI."""
 
@@ -52,9 +52,9 @@ def _writable(name: str, values: np.ndarray) -> str:
     return f"static double {name}[{np.size(values)}];\n"
 
 
-def _law(name: str, setting: str) -> Guidance:
-    """Guidance of a controller with its set of a setting, as the figures of the paper have it."""
-    return ZeroOrderHold() if name == OWN else guidance(name, parameters(name, setting), CONTROLLERS[name].quick)
+def _law(name: str) -> Guidance:
+    """Guidance of a controller with its tuned set, as the figures of the paper have it."""
+    return ZeroOrderHold() if name == OWN else tuned(name, CONTROLLERS[name].quick)
 
 
 def _packed(content: bytes | np.ndarray) -> str:
@@ -76,27 +76,26 @@ def content() -> dict:
     - "columns": names of the columns of all "cells" (rows of a route);
     - "ranges": fields of the `railrepro.data.Quantity` of each value that the page may change, by its key in the page;
     - "car": its "module", "parameters", "outputs", and the names "measured" by controllers;
-    - "settings": label of each setting;
-    - "controllers": by setting, then by name: "label", "module", "parameters";
+    - "controllers": by name: "label", "module", "parameters";
     - "figures": by scenario: "title", "cells", "speed_kmh", "stop_kmh", "set_point", "end" (m), "stride" (ms between
-      rows of a curve), "force" (kN, largest demand), "committed" (by setting, then controller: curves "y", "p" in m).
+      rows of a curve), "force" (kN, largest demand), "committed" (by controller: curves "y", "p" in m).
     """
     scenarios = {name: load_scenario(name) for name in FIGURES.values()}
     routes = {name: scenario.route() for name, scenario in scenarios.items()}
     longest = max(routes.values(), key=lambda route: len(route.cells))
     car = _module(car_fmu(SteppedCar(longest, 50.0), 50.0, _writable))
     car |= {"outputs": list(equations.car().outputs), "measured": list(interface.MEASURED)}
-    controllers: dict[str, dict] = {setting: {} for setting in SETTINGS}
-    for setting, name in product(SETTINGS, (*SHOWN, OWN)):
-        print(f"compiling {name} of {setting}", flush=True)
-        module = _module(Export(_law(name, setting), longest).fmu(_writable))
-        controllers[setting][name] = {"label": SHOWN.get(name, "Law of your own")} | module
+    controllers = {}
+    for name in (*SHOWN, OWN):
+        print(f"compiling {name}", flush=True)
+        module = _module(Export(_law(name), longest).fmu(_writable))
+        controllers[name] = {"label": SHOWN.get(name, "Law of your own")} | module
     figures = {}
     for title, name in FIGURES.items():
         more = len(longest.cells) - len(routes[name].cells)  # the modules have as many cells as the longest route
         cells = np.pad(routes[name].cells, ((0, more), (0, 0)), "edge")
         figures[name] = {"title": title, "cells": _packed(cells)} | _experiment(scenarios[name])
-    shown = {"car": car, "settings": SETTINGS, "controllers": controllers, "figures": figures}
+    shown = {"car": car, "controllers": controllers, "figures": figures}
     return {"columns": list(COLUMNS), "ranges": _ranges()} | shown
 
 
@@ -108,16 +107,16 @@ def _ranges() -> dict[str, dict]:
 
 
 def _experiment(scenario: Scenario) -> dict:
-    """A scenario as the page has it, with its committed runs by setting and controller."""
+    """A scenario as the page has it, with its committed runs by controller."""
     found = {key: getattr(scenario, key) for key in ("speed_kmh", "stop_kmh", "set_point")}
     # milliseconds between rows of the page, more for a run to standstill
     found |= {"end": scenario.end_m, "stride": 10 if scenario.stop_kmh is None else 50}
     found["force"] = max((force for _, force in scenario.force_kN), key=abs, default=0.0)
-    found["committed"] = {setting: {} for setting in SETTINGS}
-    for setting, name in product(SETTINGS, SHOWN):
-        series = simulate.run(scenario, _law(name, setting)).series.iloc[:: found["stride"]]
+    found["committed"] = {}
+    for name in SHOWN:
+        series = simulate.run(scenario, _law(name)).series.iloc[:: found["stride"]]
         path = {"y": _packed(series["front.y"].to_numpy()), "p": _packed(series["front.p"].to_numpy().round(1))}
-        found["committed"][setting][name] = path
+        found["committed"][name] = path
     return found
 
 

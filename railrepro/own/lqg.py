@@ -7,12 +7,14 @@ rails lie beside the track as white noise through the spectrum of ERRI B176 over
 
 Readings have the noise of the sensors; the read yaw angle and yaw rate have biases that drift. There are two Kalman
 filters, for ideal and for rough rails; their states are weighed by the likelihood of their innovations. With
-the displacement y_k from the set point over the rails and the torque du_k, the regulator minimises
+the displacement y_k from the set point over the rails, the yaw rate r_k against the track and the torque du_k, the
+regulator minimises
 
-    sum_k  y_k^2 + rho (du_k - du_(k-1))^2
+    sum_k  y_k^2 + w^2 v / (100 m/s) r_k^2 + rho (du_k - du_(k-1))^2
 
-over an infinite horizon; the track ahead is known over a preview and constant behind it. The rear gear knows the rails
-that the front gear found, by a smoother of fixed lag. Source: Anderson and Moore 1990, Optimal Control, ch. 2, 4 and 8;
+over an infinite horizon at the speed v; the track ahead is known over a preview and constant behind it. A yaw rate is
+needed for no steady state, so its weight w damps without an offset. The rear gear knows the rails that the front gear
+found, by a smoother of fixed lag. Source: Anderson and Moore 1990, Optimal Control, ch. 2, 4 and 8;
 Anderson and Moore 1979, Optimal Filtering, ch. 7 (smoothing) and 10 (several models).
 """
 
@@ -147,7 +149,9 @@ class Design:
             b[:_MODEL] = self.b
         error[STATES.index("y")], error[_RAIL] = 1.0, -1.0
         units = np.append(self._units, np.full(self.sent, 100.0))
-        p = riccati(a, b[:, None] / np.sqrt(self.settings.change), np.outer(error, error), units)
+        weights = np.outer(error, error)
+        weights[STATES.index("r"), STATES.index("r")] = self.settings.turn**2 * self.speed / 100
+        p = riccati(a, b[:, None] / np.sqrt(self.settings.change), weights, units)
         size = self.settings.change + b @ p @ b
         feedback = b @ p @ a / size
         closed = (a - np.outer(b, feedback)).T
@@ -281,8 +285,11 @@ class LqgPreview:
     """Guidance for `simulate.run`: the LQG controller with preview, as a factory. Notebook `12_lqg` derives
     settings."""
 
-    change: Annotated[float, between(1e-13, 1e-3, "m2/(N m)2")] = 1.5e-9
+    change: Annotated[float, between(1e-13, 1e-3, "m2/(N m)2")] = 8e-10
     """Weight rho of the squared change of torque per millisecond, relative to that of y (m2/(N m)2)."""
+    turn: Annotated[float, between(0.0, 10.0, "m s/rad")] = 0.082
+    """Weight w of the yaw rate relative to that of y (m s/rad), at 100 m/s: it raises stability margins. It grows with
+    the square root of the speed, which makes them about equal at all speeds."""
     force: Annotated[float, between(1.0, 1e8, "N")] = 1e5
     """Standard deviation of the random walk of the unknown side force after one second (N)."""
     moment: Annotated[float, between(1.0, 1e8, "N m")] = 2e4

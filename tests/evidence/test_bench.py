@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from railrepro.control.registry import mpc_settings
+from railrepro.control.registry import mpc_settings, parameters
 from railrepro.evidence.bench import speed
-from railrepro.tuning import sets
 from railrepro.vehicle.parameters import load_vehicle
 
 
@@ -14,7 +13,7 @@ def test_the_time_of_a_run_of_a_study_is_split_and_its_store_is_not_asked():
 
 
 def test_same_optimum_as_ipopt_and_one_iteration_meets_the_bounds():
-    vehicle, settings = load_vehicle(), mpc_settings(sets.load("nmpc", "equal")["parameters"])
+    vehicle, settings = load_vehicle(), mpc_settings(parameters("nmpc", "loop"))
     # few problems, as Ipopt takes a second for one whose bounds are active
     plain = [speed.record(name, settings, vehicle, 3) for name in speed.SCENARIOS]
     recordings = [recording for one in plain for recording in (one, speed.tightened(one))]

@@ -36,7 +36,10 @@ FAULTS = {
     "two classes": (SLOW.format("return 0.0") + LAW.format("return 0"), "found ['Mine', 'Own']"),
     "throws": (SLOW.format("return 1 / 0"), "own.py, line 7: ZeroDivisionError: division by zero"),
     "law without its symbol": (LAW.format("return q.height"), "own.py, line 4: lateral law Own: torque() asks for"),
-    "wrong setting": (LAW.format("return 0 * q.held") + "    tuned = {'paper': {}}", "`tuned` has ['paper']"),
+    "wrong setting": (
+        LAW.format("return 0 * q.held") + "    tuned = {'equal': {}}",
+        "has the settings ['equal'], there",
+    ),
     "derails": (SLOW.format("return 3000.0"), "gear derailed, |y| = 30."),
 }
 
@@ -56,7 +59,7 @@ def test_a_fault_is_a_line_and_no_points(what, tmp_path):
     text, said = FAULTS[what]
     file = tmp_path / "own.py"
     file.write_text(text)
-    row = drive(file, replace(short("equal"), plant={"contact.profile": "cone"}))  # no flange holds it
+    row = drive(file, replace(short("paper"), plant={"contact.profile": "cone"}))  # no flange holds it
     assert said in row["failure"] and "\n" not in row["failure"]
     assert benchmark.points(row | ENDS) == 0.0
 
@@ -64,8 +67,8 @@ def test_a_fault_is_a_line_and_no_points(what, tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (SLOW.format("__import__('ctypes').string_at(0)"), "its run curve_T3 in the setting equal ended its process"),
-        ("while True:\n    pass", "its run curve_T3 in the setting equal was given up after 3 s"),
+        (SLOW.format("__import__('ctypes').string_at(0)"), "its run curve_T3 in the setting paper ended its process"),
+        ("while True:\n    pass", "its run curve_T3 in the setting paper was given up after 3 s"),
         (SLOW.format("raise KeyboardInterrupt"), "line 7: KeyboardInterrupt"),
     ],
     ids=["crash", "endless", "interrupt"],
@@ -82,13 +85,13 @@ def test_a_file_harms_nothing_but_its_own_process(text, said, tmp_path, monkeypa
 
 
 def test_the_template_is_driven_with_the_numbers_of_its_setting():
-    equal, loop = (drive(entry(PID), short(setting)) for setting in ("equal", "loop"))
-    assert (equal["failure"], loop["failure"]) == ("", "")
-    assert loop["rmse_y"] > 1.2 * equal["rmse_y"]
+    paper, loop = (drive(entry(PID), short(setting)) for setting in ("paper", "loop"))
+    assert (paper["failure"], loop["failure"]) == ("", "")
+    assert loop["rmse_y"] > 1.2 * paper["rmse_y"]
 
 
 def test_a_controller_knows_neither_friction_nor_irregularities():
-    route = short("equal").scenario.route()
+    route = short("paper").scenario.route()
     full = np.ones_like(route.cells)
     full[:, INDEX["p"]] = route.cells[:, INDEX["p"]]
     cells = known(Route(full, route.length)).cells
@@ -130,12 +133,12 @@ def test_nothing_gets_no_points_and_no_controller_undercuts_the_limit():
 def test_the_score_is_the_mean_over_groups_of_cases_and_settings():
     head = {"controller": "own", "scenario": "a", "seed": 7, "failure": "left", "points": 0.0}
     full = {"failure": "", "points": 100.0, "y_over_q": 0.5}
-    places = {("equal", "a"): [head], ("equal", "b"): [head | full], ("loop", "a"): [head | full]}
+    places = {("paper", "a"): [head], ("paper", "b"): [head | full], ("loop", "a"): [head | full]}
     places["loop", "margins"] = [head | full, head]
     rows = [row | {"setting": setting, "group": group} for (setting, group), of in places.items() for row in of]
     long = benchmark.card(pd.DataFrame(rows))
     whole = long.pivot_table(index="metric", columns="setting", values="value")
-    assert whole.loc["score"].to_dict() == {"equal": 50.0, "loop": 75.0, "all": 62.5}
+    assert whole.loc["score"].to_dict() == {"paper": 50.0, "loop": 75.0, "all": 62.5}
     assert whole.loc["margins", "loop"] == 50.0 and whole.loc["y_over_q", "loop"] == 0.5
     assert long[long["metric"] == "failures"]["value"].tolist() == [1.0, 0.0] and (long["seed"] == 7).all()
 
@@ -163,7 +166,7 @@ def test_the_leaderboard_ranks_by_the_ranked_draws():
         row | {"controller": name, "setting": setting, "seed": seed, "points": points - off, "group": group}
         for name, points in (("ndi", 80.0), ("nmpc", 90.0))
         for seed, off in less.items()
-        for setting in ("equal", "loop")
+        for setting in ("paper", "loop")
         for group in ("a", "margins")
     ]
     cards = pd.concat([benchmark.card(each) for _, each in pd.DataFrame(rows).groupby("controller")])
@@ -182,7 +185,7 @@ def test_a_score_writes_its_card_and_what_cannot_be_driven_is_one_sentence(tmp_p
     assert capsys.readouterr().err.splitlines()[-1].startswith("error: mine.py: ArithmeticError: the lateral")
     assert command.main(["score", PID, "--seed", "5"]) == 0
     table = pd.read_csv(tmp_path / "score/pid.py-5.csv")
-    assert set(table["seed"]) == {5} and set(table["setting"]) == {"equal", "loop"}
+    assert set(table["seed"]) == {5} and set(table["setting"]) == {"paper", "loop"}
     assert np.isfinite(table["points"]).all() and (table["failure"].isna()).all()
     assert "score over both settings" in capsys.readouterr().out
 
@@ -202,7 +205,7 @@ def test_ranked_seeds_of_a_file_follow_from_its_content(tmp_path):
 def test_an_entry_has_version_seeds_and_points_and_can_be_repeated(metrics, tmp_path, monkeypatch, capsys):
     def quick(of, seeds):
         head = {"controller": of.name, "scenario": "a", "failure": "", "limit": 1e-3} | metrics
-        every = product(seeds, ("equal", "loop"), ("a", "margins"))
+        every = product(seeds, ("paper", "loop"), ("a", "margins"))
         rows = [dict(zip(("seed", "setting", "group"), each, strict=True)) for each in every]
         return pd.DataFrame([head | row | {"points": float(row["seed"] % 50)} for row in rows])
 

@@ -36,7 +36,7 @@ def test_a_sentence_that_the_tables_refute_is_not_said(holds, said, table, nomin
         ("e('paper', 'nowhere', 'nmpc', 'rmse_y') < 1", False),
         ("table('nowhere').rmse_mm.min() > 1", False),
         ("holds('C05', 'paper')", True),
-        ("holds('C05', 'equal')", False),
+        ("holds('C05', 'swarm')", False),
         ("holds('C04', 'calibrated') and not holds('C04', 'paper')", True),
         ("cell('table1', 'printed_m', track='T2') == 0.168", True),
         ("cell('table1', 'printed_m', track='T9') == 0.168", False),
@@ -47,8 +47,8 @@ def test_a_condition_is_evaluated_on_the_tables(condition, true, table, nominal)
 
 
 def test_a_number_of_the_prose_is_that_of_its_table(table, nominal):
-    value = 1e3 * nominal.evidence("equal")("curve_entry_T3", "nmpc", "rmse_y")
-    place = "{{ q('equal', 'curve_entry_T3', 'nmpc', 'rmse_y', 'mm') }}"
+    value = 1e3 * nominal.evidence("swarm")("curve_entry_T3", "nmpc", "rmse_y")
+    place = "{{ q('swarm', 'curve_entry_T3', 'nmpc', 'rmse_y', 'mm') }}"
     assert Page(table, nominal).text(place) == f"[{value:.3g} mm](data/results/nominal_metrics.csv)"
 
 
@@ -119,9 +119,9 @@ def on_setting(**ndi):
 
 
 def test_statements_that_compare_are_judged_on_each_setting():
-    nominal = Nominal(handed(on_setting(paper=2e-3, equal=5e-4, loop=1.02e-3)))
+    nominal = Nominal(handed(on_setting(paper=2e-3, swarm=5e-4, loop=1.02e-3)))
     found = claims.evaluate(nominal).set_index(["id", "setting"])["judged"]
-    assert found["C05"].to_dict() == {"paper": "reproduced", "equal": "not reproduced", "loop": "tie"}
+    assert found["C05"].to_dict() == {"paper": "reproduced", "swarm": "not reproduced", "loop": "tie"}
     assert found["C13"].to_dict() == {"": "not testable"}
 
 
@@ -134,11 +134,11 @@ def judged(kind="statement", **by_setting):
 @pytest.mark.parametrize(
     ("table", "expected"),
     [
-        (judged(paper="reproduced", equal="not reproduced"), "reproduced"),
-        (judged(paper="not reproduced", equal="reproduced", loop="reproduced"), "not reproduced"),
-        (judged(paper="tie", equal="reproduced"), "tie"),
+        (judged(paper="reproduced", swarm="not reproduced"), "reproduced"),
+        (judged(paper="not reproduced", swarm="reproduced", loop="reproduced"), "not reproduced"),
+        (judged(paper="tie", swarm="reproduced"), "tie"),
         (judged(paper="fragile"), "fragile"),
-        (judged(equal="reproduced"), "not testable"),
+        (judged(swarm="reproduced"), "not testable"),
         (judged(kind="calibrated", any="not testable"), "no verdict"),
     ],
 )

@@ -26,13 +26,13 @@ def asked(monkeypatch):
 
 
 def test_a_list_drives_each_of_its_values_and_labels_the_numbers(asked):
-    runs = compare("sine_tracking", ["nmpc", "ndi"], ["paper", "equal"], speed_kmh=[80, 160], end_m=30.0)
+    runs = compare("sine_tracking", ["nmpc", "ndi"], ["paper", "loop"], speed_kmh=[80, 160], end_m=30.0)
     assert len(asked) == 8 and {one.scenario.end_m for one in asked} == {30.0}
     last = asked[-1]
-    assert (last.controller, last.setting, last.scenario.speed_kmh) == ("ndi", "equal", 160)
-    assert last.parameters == sets.load("ndi", "equal")["parameters"]
+    assert (last.controller, last.setting, last.scenario.speed_kmh) == ("ndi", "loop", 160)
+    assert last.parameters == sets.load("ndi", "loop")["parameters"]
     assert runs.labels == ("setting", "speed_kmh", "controller")
-    assert runs["rmse_mm"].loc[("equal", 160, "ndi")] == 7e3
+    assert runs["rmse_mm"].loc[("loop", 160, "ndi")] == 7e3
     assert list(runs.table("rmse_mm").xs("ndi", level="controller")["rmse_mm"]) == [1e3, 3e3, 5e3, 7e3]
 
 
@@ -69,7 +69,7 @@ def test_a_variant_has_its_factor_on_r_and_its_own_fields(asked):
 
 def test_sensors_belong_to_the_setting_loop_the_solver_to_nmpc_and_the_car_to_the_reader(asked):
     heavy = {"gear.mass": 2000.0}
-    compare("sine_tracking", ["nmpc", "ndi"], ["equal", "loop"], solver="gauss_newton", noise_seed=7, vehicle=heavy)
+    compare("sine_tracking", ["nmpc", "ndi"], ["paper", "loop"], solver="gauss_newton", noise_seed=7, vehicle=heavy)
     assert asked[0].car().gear.mass == 2000.0
     assert [one.sensors for one in asked] == [{}, {}, {"seed": 7}, {"seed": 7}]
     assert [one.options for one in asked] == [{"solver": "gauss_newton"}, {}] * 2

@@ -31,14 +31,15 @@ def driven(monkeypatch):
 
 def test_answers_reach_the_probe_which_drives_only_what_depends_on_them(driven):
     flips.flips(answered(friction=[0.11], poles=[42.0], sweep=[4.0, 160.0, 70.0]))
-    flips.flips(answered(brake_sweep=[3.0, 100.0, 20.0], r_brake=[5.0, 4.0], tuning_runs=["equal"]))
+    flips.flips(answered(brake_sweep=[3.0, 100.0, 20.0], r_brake=[5.0, 4.0], ndi_search=["swarm"]))
     flips.flips(answered(r_loss=[10.0], r_brake=[2.0, 5.0]))
-    (world, _), (equal, _), (_, parts) = driven
+    (world, _), (searched, _), (_, parts) = driven
     assert world.car().adhesion["poor"].mu0 == 0.11 and world.parameters["ndi"]["frequency"] == 42.0
-    assert (world.amplitude_mm, world.period_start_m, world.period_end_m, equal.r_second) == (4.0, 160.0, 70.0, 4.0)
+    assert (world.amplitude_mm, world.period_start_m, world.period_end_m, searched.r_second) == (4.0, 160.0, 70.0, 4.0)
     assert world.parameters["nmpc"] == sets.load("nmpc", "paper")["parameters"], "what is not answered stays"
-    assert equal.scenario("braking").set_point["period_end_m"] == 20.0
-    assert equal.parameters == {name: sets.load(name, "equal")["parameters"] for name in PAPER_TRIO}
+    assert searched.scenario("braking").set_point["period_end_m"] == 20.0
+    found = {name: "ndi_swarm" if name == "ndi" else name for name in PAPER_TRIO}
+    assert searched.parameters == {name: sets.load(of)["parameters"] for name, of in found.items()}
     assert parts == ["loss", "brake"]
 
 

@@ -38,7 +38,7 @@ def test_a_loop_that_is_unstable_has_none():
 
 
 def test_slow_controllers_are_disturbed_at_the_same_place():
-    found = margin.sensitivity(tuned("nmpc", {"solver": "rti"}, "equal"), SPEED)
+    found = margin.sensitivity(tuned("nmpc", {"solver": "rti"}), SPEED)
     assert 1.0 < np.abs(found).max() < 4.0
     assert abs(found[0]) < 0.7  # slow disturbances are countered
 
@@ -48,7 +48,7 @@ def test_margins_of_hand_made_curves():
     assert margin.disk_margin(1 / (1 + loop)) == pytest.approx(1 / 1.5)  # the gain may double: (2 + a) / (2 - a) = 2
 
 
-@pytest.mark.parametrize(("setting", "perfect"), [("equal", True), ("loop", False)])
+@pytest.mark.parametrize(("setting", "perfect"), [("paper", True), ("loop", False)])
 @pytest.mark.parametrize(("breaks_at", "expected"), [(6.5e-3, 6e-3), (1.0, 15e-3), (-1.0, np.nan)])
 def test_the_longest_delay_that_is_survived_is_found(setting, perfect, breaks_at, expected, monkeypatch):
     def measured(run, _):

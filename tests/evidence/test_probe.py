@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from railrepro.control.registry import LOOP, PAPER_TRIO, SETTINGS
+from railrepro.control.registry import LOOP, PAPER_TRIO
 from railrepro.evidence.claims import probe, statements
-from railrepro.evidence.claims.setup import setup
+from railrepro.evidence.claims.setup import COLUMNS, SWARM, setting_of, setup
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.tuning import sets
 from railrepro.vehicle.parameters import load_vehicle
@@ -184,11 +184,11 @@ def test_a_probe_answers_statements():
         statements.find("C30", evidence)
 
 
-SCALED = {"r", "pole", "frequency", "damping"}
+SCALED = {"r", "pole", "frequency", "damping", "horizon_s"}
 """What sweeps change of a tuned set."""
 
 
-@pytest.mark.parametrize("setting", SETTINGS)
+@pytest.mark.parametrize("setting", COLUMNS)
 def test_a_probe_runs_the_controllers_of_the_setting_that_its_rows_name(setting, monkeypatch):
     made = []
     names = ("rmse_y", "stopping_distance", "regular_deviation", "largest_slip", "set_point_gain", "error_growth")
@@ -204,8 +204,9 @@ def test_a_probe_runs_the_controllers_of_the_setting_that_its_rows_name(setting,
     assert set(braked["swarm"]) == {0} and braked["seed"].nunique() == 1, "once per setting"
     assert {e.controller for e in made} == set(PAPER_TRIO)
     for experiment in made:
-        tuned = sets.load(experiment.controller, setting)
+        searched = setting == SWARM and experiment.controller == "ndi"
+        tuned = sets.load(f"{experiment.controller}{'_swarm' if searched else ''}", setting_of(setting))
         known = [tuned["parameters"], *(swarm["parameters"] for swarm in tuned.get("swarms", []))]
         kept = {key: value for key, value in experiment.parameters.items() if key not in SCALED}
-        assert experiment.setting == setting and any(kept.items() <= one.items() for one in known)
+        assert experiment.setting == setting_of(setting) and any(kept.items() <= one.items() for one in known)
         assert bool(experiment.sensors) == (setting == LOOP)

@@ -15,8 +15,8 @@ T3 = "curve_entry_T3"
 def test_samples_cover_the_ranges_and_are_reproducible():
     samples = robustness.draw(16)
     assert samples == robustness.draw(16)
-    assert len(samples) == 16 * 3 and {s.setting for s in samples} == {"paper", "equal", "loop"}
-    by_setting = [[s.values for s in samples if s.setting == setting] for setting in ("paper", "equal", "loop")]
+    assert len(samples) == 16 * 3 and {s.setting for s in samples} == {"paper", "swarm", "loop"}
+    by_setting = [[s.values for s in samples if s.setting == setting] for setting in ("paper", "swarm", "loop")]
     assert by_setting[0] == by_setting[1] == by_setting[2], "one sequence for all settings"
     radii = [dict(s.values)["wheel.radius"] for s in samples]
     assert 0.43 <= min(radii) < 0.45 and 0.48 < max(radii) <= 0.5
@@ -35,7 +35,7 @@ def test_creep_slopes_of_both_rails_reach_the_car_and_what_is_not_named_stays_no
     assert world.car().adhesion["poor"].k_s == 0.5 * world.car().adhesion["poor"].k_a
 
 
-def sample(setting="equal", profile="cone", ndi=2e-3, failed=0.0, number=0):
+def sample(setting="swarm", profile="cone", ndi=2e-3, failed=0.0, number=0):
     metrics = {f"{T3}/nmpc/rmse_y": 1e-3, f"{T3}/ltv_mpc_printed/rmse_y": 1e-3, f"{T3}/ndi/rmse_y": ndi}
     if failed:
         del metrics[f"{T3}/nmpc/rmse_y"]
@@ -57,7 +57,7 @@ def shares(*rows):
 
 def test_shares_are_split_by_setting_and_profile_and_a_failed_run_is_a_failure():
     found = shares(sample(), sample(profile="s1002", ndi=5e-4), sample(setting="loop"), sample("loop", failed=1.0))
-    assert found.loc["equal", ["share", "cone", "s1002"]].tolist() == [0.5, 1.0, 0.0]
+    assert found.loc["swarm", ["share", "cone", "s1002"]].tolist() == [0.5, 1.0, 0.0]
     assert found.loc["loop", ["share", "samples"]].tolist() == [0.5, 2]
 
 
@@ -66,14 +66,14 @@ def test_shares_are_split_by_setting_and_profile_and_a_failed_run_is_a_failure()
 )
 def test_the_interval_is_that_of_clopper_and_pearson(held, of, low, high):
     """Numbers from the beta distribution, as printed in tables; 16 of 32 is 32 to 68 %."""
-    found = shares(*[sample(ndi=2e-3 if i < held else 5e-4) for i in range(of)]).loc["equal"]
+    found = shares(*[sample(ndi=2e-3 if i < held else 5e-4) for i in range(of)]).loc["swarm"]
     assert (found["low"], found["high"]) == pytest.approx((low, high), abs=1e-4)
 
 
 def test_a_lead_within_the_spread_of_the_nominal_seeds_is_a_tie_in_samples_too(spread):
-    assert shares(sample()).loc["equal", "share"] == 1.0
+    assert shares(sample()).loc["swarm", "share"] == 1.0
     spread[T3, "nmpc", "rmse_y"] = np.log(3.0)
-    assert shares(sample()).loc["equal", "share"] == 0.0
+    assert shares(sample()).loc["swarm", "share"] == 0.0
 
 
 def test_what_decides_stands_beside_the_share_of_its_statement():

@@ -9,41 +9,80 @@ import pytest
 
 from railrepro import paths
 from railrepro.control.ndi import NDI
-from railrepro.control.registry import SETTINGS, SHOWN, TUNED, read
+from railrepro.control.registry import BY_SWARM, INVERSIONS, LOOP, PAPER, SETTINGS, SHOWN, TUNED, read, tuned_set
 from railrepro.data import InputError
 from railrepro.simulation import simulate
 from railrepro.studies.experiment import Experiment
-from railrepro.tuning import sets
+from railrepro.tuning import margin, sets
+from railrepro.tuning import tune as tune_module
 from railrepro.tuning.cost import driven as measured
 from railrepro.tuning.cost import evaluate, run_cost
-from railrepro.tuning.task import load_task
+from railrepro.tuning.task import load_task, triple_pole
 from railrepro.tuning.tune import tune
 
 
 @pytest.mark.parametrize("setting", SETTINGS)
-def test_tuned_sets_belong_to_the_model_and_carry_their_origin(setting):
+def test_tuned_sets_belong_to_the_model_keep_the_margin_and_carry_their_origin(setting):
     task = load_task(setting=setting)
-    for name in SHOWN:
+    for name in (*SHOWN, *BY_SWARM):
         tuned = sets.load(name, setting)
         if name in task.designed:
             assert tuned["parameters"] == task.designed[name]
             continue
-        assert set(tuned["parameters"]) == {d.name for d in task.dimensions[name]}
-        found = sets.particles(name, setting).groupby("seed")["cost"].min()
+        assert [one["speed_kmh"] for one in tuned["margins"]] == task.margin["speeds_kmh"]
+        assert min(one["disk_margin"] for one in tuned["margins"]) >= task.margin["least"] == 0.5
+        bounded = name.removesuffix("_swarm")
+        assert set(tuned["parameters"]) == {d.name for d in task.dimensions[bounded]}
+        if name in task.rule:
+            continue
+        found = sets.particles(bounded if setting == LOOP else name, setting).groupby("seed")["cost"].min()
         assert found.to_dict() == pytest.approx({one["seed"]: one["cost"] for one in tuned["swarms"]}, rel=1e-5)
         assert list(found.index) == task.budget["seeds"] and tuned["cost"] == pytest.approx(found.min(), rel=1e-5)
 
 
+@pytest.mark.parametrize("name", INVERSIONS)
+def test_poles_by_the_rule_are_the_fastest_that_keep_the_margin(name):
+    task, stored = load_task(), read(name)
+    assert tune_module.by_rule(name, task)["parameters"] == stored["parameters"]
+    assert (pole := stored["parameters"]["pole"]) == stored["parameters"]["frequency"] == int(pole)
+    faster = stored["parameters"] | {"pole": pole + 1, "frequency": pole + 1}
+    assert (
+        margin.smallest(name, faster, [400]) < 0.5 <= margin.smallest(name, stored["parameters"], [400, 300, 200, 100])
+    )
+
+
+def test_inversions_by_the_swarm_are_those_of_the_swarm():
+    for name in INVERSIONS:
+        by_swarm = f"{name}_swarm"
+        assert tuned_set(by_swarm, LOOP)["parameters"] == tuned_set(name, LOOP)["parameters"]
+        assert tuned_set(by_swarm, PAPER) == read(by_swarm) and tuned_set(name, PAPER) == read(name)
+
+
+def test_a_set_without_the_margin_costs_more_the_more_it_misses():
+    task = load_task()
+    costs = []
+    for pole in (40.0, 60.0):
+        cost, parts = evaluate("ndi", task, triple_pole(pole))
+        missed = 2 - margin.peaks("ndi", triple_pole(pole), 400)["disk_margin"] / 0.5
+        assert parts == [] and cost == pytest.approx(task.cost["failure"] * missed)
+        costs.append(cost)
+    assert task.cost["failure"] < costs[0] < costs[1] <= 2 * task.cost["failure"]
+    short = {"sine": replace(task.runs["sine"], scenario=task.runs["sine"].scenario.but(end_m=60.0))}
+    slow_only = replace(task, runs=short, margin={"least": 0.65, "speeds_kmh": [100, 200, 400]})
+    cost, parts = evaluate("ndi", slow_only, triple_pole(36.0))  # 0.71, 0.64 and 0.51
+    assert [part["run"] for part in parts] == ["sine"] and task.cost["failure"] < cost < 1.1 * task.cost["failure"]
+
+
 def test_tuned_sets_of_another_controller_or_setting_are_refused(tmp_path):
-    shutil.copy(paths.source(TUNED) / "equal" / "ndi.json", tmp_path)
+    shutil.copy(paths.source(TUNED) / "paper" / "ndi.json", tmp_path)
     with pytest.raises(InputError, match="no tuned set for 'nmpc'"):
-        read("nmpc", "equal", tmp_path)
-    with pytest.raises(InputError, match="holds a tuned set of 'ndi' in the setting 'equal'"):
+        read("nmpc", "paper", tmp_path)
+    with pytest.raises(InputError, match="holds a tuned set of 'ndi' in the setting 'paper'"):
         read("ndi", "loop", tmp_path)
     file = tmp_path / "ndi.json"
     file.write_text(file.read_text().replace('"pole": ', '"pole": NaN, "other": '))
     with pytest.raises(InputError, match="ndi.json: parameters: pole is nan, a number "):
-        read("ndi", "equal", tmp_path)
+        read("ndi", "paper", tmp_path)
 
 
 @pytest.fixture(scope="module")
@@ -97,10 +136,10 @@ def test_behind_sensors_the_error_counts_from_the_rails(driven):
 def test_an_evaluation_beyond_its_limit_stops():
     task = load_task()
     runs = {name: replace(run, scenario=run.scenario.but(end_m=60.0)) for name, run in task.runs.items()}
-    evaluation = partial(evaluate, "ndi", replace(task, runs={name: runs[name] for name in ("T3", "poor")}))
-    poles = {"pole": 40.0, "frequency": 30.0, "damping": 1.0}
+    evaluation = partial(evaluate, "ndi", replace(task, runs={name: runs[name] for name in ("T3", "sine")}))
+    poles = {"pole": 36.0, "frequency": 30.0, "damping": 1.0}
     whole, parts = evaluation(poles)
-    assert [part["run"] for part in parts] == ["poor", "T3"]
+    assert [part["run"] for part in parts] == ["sine", "T3"]
     bounded, first = evaluation(poles, limit=0.4 * parts[0]["cost"])
     assert first == parts[:1] and bounded == parts[0]["cost"] / 2 < whole
     assert evaluation(poles, limit=whole) == (whole, parts)

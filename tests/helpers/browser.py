@@ -75,7 +75,7 @@ def opened(url, folder, size="1440,900"):
         process.wait(20)
 
 
-SHOWN = {"figure": "braking", "setting": "paper", "shown": ["nmpc", "ndi", "ndi_integral"]}
+SHOWN = {"figure": "braking", "shown": ["nmpc", "ndi", "ndi_integral"]}
 ENDED = "(document.body?.innerText ?? '').split('The car stands').length > 3"
 
 

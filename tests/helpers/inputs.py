@@ -130,10 +130,10 @@ def answer(question, values):
 
 def ndi(pole):
     """Read the tuned set of NDI with another text in place of its pole."""
-    text = (paths.ROOT / "data/tuned/equal/ndi.json").read_text(encoding="utf-8")
+    text = (paths.ROOT / "data/tuned/loop/ndi.json").read_text(encoding="utf-8")
     edited = re.sub(r'"pole": [\d.]+', pole, text, count=1)
     return file(
-        edited, lambda path: guidance("ndi", registry.read("ndi", "equal", path.parent)["parameters"]), "ndi.json"
+        edited, lambda path: guidance("ndi", registry.read("ndi", "loop", path.parent)["parameters"]), "ndi.json"
     )
 
 

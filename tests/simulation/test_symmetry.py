@@ -38,7 +38,7 @@ def drive(name, change, monkeypatch):
     original = type(scenario).route
     with monkeypatch.context() as patched:
         patched.setattr(type(scenario), "route", lambda self, *laid: change(original(self, *laid)))
-        return simulate.run(scenario, tuned(name, CONTROLLERS[name].quick, "equal")).series
+        return simulate.run(scenario, tuned(name, CONTROLLERS[name].quick)).series
 
 
 @pytest.mark.parametrize("name", SHOWN)

@@ -151,11 +151,11 @@ def compare(recording: speed.Recording, vehicle: Vehicle, rounds: int = 3) -> pd
 def main(count: int = 6) -> None:
     """Compare on the curve entry, print the table and write it.
 
-    The problems are those of our tuned set, and of the paper's setting with the paper's discretisation, each with
+    The problems are those of the setting `loop`, and of `paper` with the discretisation that the paper has, each with
     bounds far and near.
     """
     vehicle = load_vehicle()
-    tuned = [mpc_settings(parameters("nmpc", name)) for name in ("equal", "paper")]
+    tuned = [mpc_settings(parameters("nmpc", name)) for name in ("loop", "paper")]
     chosen = tuned[0], replace(tuned[1], discretisation="euler")
     plain = [speed.record("curve_entry_T3", settings, vehicle, count) for settings in chosen]
     recordings = [recording for one in plain for recording in (one, speed.tightened(one))]

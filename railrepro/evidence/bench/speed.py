@@ -23,7 +23,7 @@ from tqdm import tqdm
 from railrepro import paths
 from railrepro.control.mpc import LTVMPC, NMPC
 from railrepro.control.problem import MPCSettings, Problem
-from railrepro.control.registry import CONTROLLERS, EQUAL, LOOP, PAPER, SETTINGS, mpc_settings, parameters
+from railrepro.control.registry import CONTROLLERS, LOOP, PAPER, SETTINGS, mpc_settings, parameters
 from railrepro.data import write
 from railrepro.model.control_model import Y
 from railrepro.simulation import scenarios, simulate
@@ -187,11 +187,11 @@ def machine() -> str:
 
 
 def main() -> None:
-    """Write and print solve_times.csv (all settings) and horizon_times.csv (setting "equal") of data/results, and print
+    """Write and print solve_times.csv (all settings) and horizon_times.csv (setting "paper") of data/results, and print
     `study_times`."""
     vehicle, of = load_vehicle(), {name: mpc_settings(parameters("nmpc", name)) for name in SETTINGS}
     solvers = pd.concat([solve_times(vehicle, settings).assign(setting=name) for name, settings in of.items()])
-    tables = {"solve_times": solvers, "horizon_times": horizon_times(vehicle, of[EQUAL])}
+    tables = {"solve_times": solvers, "horizon_times": horizon_times(vehicle, of[PAPER])}
     for name, table in tables.items():
         table["machine"] = machine()
         write(paths.product(f"data/results/{name}.csv"), table.to_csv(index=False, float_format="%.4g"))

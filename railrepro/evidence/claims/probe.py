@@ -244,7 +244,7 @@ def _lags(world: ProbeSetup) -> Measured:
         for lag in statements.LAGS_MS:
             for name in statements.MPC:
                 run = world.experiment(scenario, name, plant={"drive.lag": 1e-3 * lag}, alignment=alignment)
-                yield f"{label}, lag {lag:g} ms", name, run.measured(following)[0]
+                yield f"lag {lag:g} ms, {label}", name, run.measured(following)[0]
 
 
 def _loss(world: ProbeSetup) -> Measured:

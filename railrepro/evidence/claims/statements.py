@@ -270,7 +270,7 @@ def _because_of_preview(e: Evidence) -> Finding:
 def _robust(e: Evidence) -> float:
     """Largest error of both MPC with another lag of the drive over that with the nominal one, in curve and sine."""
     found = [
-        e(f"{scenario}, lag {lag:g} ms", name, "rmse_y") / e(scenario, name, "rmse_y")
+        e(f"lag {lag:g} ms, {scenario}", name, "rmse_y") / e(scenario, name, "rmse_y")
         for scenario in (T3, FASTEST)
         for lag in LAGS_MS
         for name in MPC

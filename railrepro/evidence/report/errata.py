@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import pandas as pd
 
+from railrepro.control.registry import parameters
 from railrepro.simulation.scenarios import Scenario
 from railrepro.studies.experiment import Experiment, run_all
-from railrepro.tuning import sets
 
 _COLUMNS = dict.fromkeys(("scenario", "controller", "variant", "warnings"), str) | {"rmse_y": float, "effort_du": float}
 _TRIPLED = 2
@@ -24,7 +24,7 @@ def model_variants(scenarios: Sequence[Scenario], variants: Sequence[str]) -> pd
     changed = {variant: {"variant": variant} for variant in variants} | {"D10": {"yielding": False}}
     tried = [(s, v) for s in scenarios for v in variants] + [(s, "D10") for s in scenarios]
     return _table([
-        Experiment(s, "nmpc", {"variant": v}, options={"solver": "rti"}, changes=changed[v], setting="equal")
+        Experiment(s, "nmpc", {"variant": v}, options={"solver": "rti"}, changes=changed[v])
         for s, v in tried
     ], "discrepancies")  # fmt: skip
 
@@ -32,10 +32,10 @@ def model_variants(scenarios: Sequence[Scenario], variants: Sequence[str]) -> pd
 def linearisations(scenarios: Sequence[Scenario]) -> pd.DataFrame:
     """Simulate NMPC, LTV-MPC with the corrected linearisation and LTV-MPC with the printed one (erratum D6).
 
-    All have the weights of NMPC in the setting `equal`. Returns a row of metrics per run (`run_all`) with the columns
+    All have the weights of NMPC in the setting `paper`. Returns a row of metrics per run (`run_all`) with the columns
     scenario, controller and flange (whether a wheel touched its flange or lifted).
     """
-    weights = sets.load("nmpc", "equal")["parameters"]
+    weights = parameters("nmpc")
     return _table([
         Experiment(s, controller, parameters=weights)
         for s in scenarios for controller in ("nmpc", "ltv_mpc", "ltv_mpc_printed")

@@ -27,7 +27,7 @@ export async function load(content) {
   const module = async (of) => ({ ...of, module: await WebAssembly.compile(await unpacked(of.module)) });
   const all = async (group, each) => Object.fromEntries(await Promise.all(Object.entries(group).map(async ([k, v]) => [k, await each(v)])));
   const figure = async (of) => ({ ...of, cells: await numbers(of.cells) });
-  const [car, controllers, figures] = await Promise.all([module(content.car), all(content.controllers, (of) => all(of, module)), all(content.figures, figure)]);
+  const [car, controllers, figures] = await Promise.all([module(content.car), all(content.controllers, module), all(content.figures, figure)]);
   return { ...content, car, controllers, figures };
 }
 
@@ -57,13 +57,13 @@ export class Unit {
   step() { return this.exports.step(1); }
 }
 
-export function settings(loaded, figure, controller = "nmpc", setting = "paper") {
+export function settings(loaded, figure, controller = "nmpc") {
   const { speed_kmh, set_point } = loaded.figures[figure];
-  return { figure, controller, setting, speed_kmh, amplitude_mm: set_point.amplitude_mm, force: 1, r: 1, faster: 1, car: {}, law: null };
+  return { figure, controller, speed_kmh, amplitude_mm: set_point.amplitude_mm, force: 1, r: 1, faster: 1, car: {}, law: null };
 }
 
 export function changes(loaded, s) {
-  const stated = new Map(loaded.controllers[s.setting][s.controller].parameters.map((p) => [p.name, p.value]));
+  const stated = new Map(loaded.controllers[s.controller].parameters.map((p) => [p.name, p.value]));
   const car = { ...s.car, speed: s.speed_kmh / 3.6 }, controller = {};
   if (s.car["drive.torque_limit"]) controller["drive.torque_limit"] = s.car["drive.torque_limit"];
   if (stated.has("cost.r") && s.r !== 1) controller["cost.r"] = s.r * stated.get("cost.r");
@@ -104,7 +104,7 @@ export function lawOf(text) {
 
 export async function* drive(loaded, s) {
   const of = loaded.figures[s.figure], width = loaded.columns.length, { car: names } = loaded;
-  const given = { ...loaded.controllers[s.setting][s.controller], n_inputs: names.measured.length };
+  const given = { ...loaded.controllers[s.controller], n_inputs: names.measured.length };
   const road = laid(loaded, s), changed = changes(loaded, s);
   const [car, law] = await Promise.all([Unit.of(names, road), Unit.of(given, road)]);
   for (const [unit, of] of [[car, changed.car], [law, changed.controller]]) for (const [name, value] of Object.entries(of)) unit.set(name, value);

@@ -21,7 +21,7 @@ const VALUES = [
   { key: "drive.lag", text: "lag of the drives (s)", low: 0.001, high: 0.05, step: 0.001, car: true },
   { key: "body.mass", text: "mass of the car body (kg)", low: 12000, high: 60000, step: 500, car: true },
 ];
-const labels = Object.fromEntries(Object.entries(content.controllers.paper).map(([name, { label }]) => [name, label]));
+const labels = Object.fromEntries(Object.entries(content.controllers).map(([name, { label }]) => [name, label]));
 const stated = new Map(content.car.parameters.map((p) => [p.name, p.value]));
 const committedOf = (v, figure) => v.car ? stated.get(v.key) : settings(content, figure)[v.key];
 
@@ -38,10 +38,10 @@ function put(v, x) {
 
 /* Take the state from the link of the page. Sentences on what in it is refused; in its place is what the page begins with. */
 function restore() {
-  state = { figure: "curve_entry_T3", setting: "paper", shown: ["nmpc", "ndi"], values: {}, law: EXAMPLE };
+  state = { figure: "curve_entry_T3", shown: ["nmpc", "ndi"], values: {}, law: EXAMPLE };
   const known = (name, of) => typeof name === "string" && Object.hasOwn(of, name);
   const fits = {
-    figure: (x) => known(x, content.figures), setting: (x) => known(x, content.settings), law: (x) => typeof x === "string",
+    figure: (x) => known(x, content.figures), law: (x) => typeof x === "string",
     shown: (x) => Array.isArray(x) && x.length <= MOST && new Set(x).size === x.length && x.every((name) => known(name, labels)),
   };
   try {
@@ -61,7 +61,7 @@ function remember() { history.replaceState(null, "", "#" + encodeURIComponent(JS
 
 /* Settings of a run from the values that differ from the committed ones. */
 function asked(controller) {
-  const s = { ...settings(content, state.figure, controller, state.setting), law: started };
+  const s = { ...settings(content, state.figure, controller), law: started };
   for (const v of shownValues()) {
     if (!(v.key in state.values)) continue;
     if (v.car) s.car[v.key] = state.values[v.key];
@@ -95,7 +95,6 @@ function slider(v) {
 
 function build() {
   byId("figure").replaceChildren(...Object.entries(content.figures).map(([name, { title }]) => new Option(title, name, false, name === state.figure)));
-  byId("setting").replaceChildren(...Object.entries(content.settings).map(([name, text]) => new Option(text, name, false, name === state.setting)));
   const boxes = Object.entries(labels).map(([name, label]) => {
     const box = document.createElement("label");
     box.innerHTML = `<input type="checkbox" value="${name}"> ${label}`;
@@ -174,9 +173,9 @@ function take(i, { number: of, block, ended, fault }) {
 const col = Object.fromEntries(ROW.map((name, i) => [name, i]));
 const numbersOf = new Map();
 async function committedRun(figure, controller) {
-  const key = [figure, state.setting, controller].join();
+  const key = [figure, controller].join();
   if (!numbersOf.has(key)) {
-    const of = content.figures[figure].committed[state.setting][controller];
+    const of = content.figures[figure].committed[controller];
     numbersOf.set(key, of ? { y: await numbers(of.y), p: await numbers(of.p) } : null);
   }
   return numbersOf.get(key);
@@ -279,7 +278,6 @@ byId("settings").addEventListener("submit", (event) => { event.preventDefault();
 byId("stop").addEventListener("click", stop);
 byId("committed").addEventListener("click", () => { state.values = {}, build(), run(); });
 byId("figure").addEventListener("change", (event) => { state.figure = event.target.value, state.values = {}, build(), run(); });
-byId("setting").addEventListener("change", (event) => { state.setting = event.target.value, run(); });
 byId("law").addEventListener("change", () => { state.law = byId("law").value, remember(); });
 byId("controllers").addEventListener("change", (event) => {
   const chosen = [...byId("controllers").querySelectorAll("input:checked")].map((box) => box.value);
