@@ -179,6 +179,10 @@ class Page:
         """Markdown link "[value unit](its table)" of a metric: value of `e` in `unit`, three digits (`quantity`)."""
         return linked(self.e(setting, scenario, controller, metric), METRICS, unit)
 
+    def sudden(self, metric: str, controller: str) -> list[float]:
+        """Values (SI) of a metric of a controller in the four sudden losses of adhesion, in the setting "paper"."""
+        return [self.e(PAPER, case, controller, metric) for case in statements.SUDDEN]
+
     def find(self, identity: str, setting: str) -> Finding:
         """Measured value of a statement in a setting, as a `Finding`; MissingEvidence when metrics are missing."""
         return statements.find(identity, self.nominal.evidence(setting))
@@ -216,11 +220,6 @@ class Page:
     def time(self, solver: str, column: str = "median_ms") -> float:
         """Median over the scenarios of a `column` of solve_times.csv (ms) for a `solver`, in the setting "paper"."""
         return float(statements.usual_times(self.nominal.evidence(PAPER), solver, column).median())
-
-    def figure(self, name: str, car: str) -> pd.DataFrame:
-        """Read figures/NAME.csv: its rows in the setting "paper" for a `car`, "uncalibrated" or "calibrated"."""
-        table = pd.read_csv(paths.source(f"figures/{name}.csv"))
-        return table[(table["setting"] == PAPER) & (table["car"] == car)]
 
     def value(self, identity: str) -> str:
         """Value behind the headline verdict of a statement (id, as "C05") as Markdown: "[value unit](its table)"."""
