@@ -61,8 +61,12 @@ EDITS = [
     Edit("03", {"periods_ms": [1, 100], "speeds_kmh": [100]}, marks=True),
     Edit("03", {"wheels": "s1002", "torque_Nm": -60}, marks=True),
     Edit("03", texts={VEHICLE: ("value = 0.025,", "value = 0.0125,")}),
-    Edit("04", {"closed_loop_m": 200.0}),
-    Edit("04", {"driven": ["sine_tracking"]}, marks=True),
+    Edit("04", {"steps": 12}),
+    Edit("04", {"run_m": 150.0, "now_m": 400.0, "late_m": 200.0}, marks=True),
+    Edit("04", {"closed_loop_m": 200.0, "driven": ["sine_tracking"]}, marks=True),
+    Edit("04", {"scenario_names": ["braking"], "weight_sets": 5}, marks=True, quick=True),
+    Edit("04", {"scenario_names": [], "variants": ["D1"]}, marks=True),
+    Edit("04", {"variants": ["corrected", "D2"], "scenario_names": ["curve_entry_T3", "sine_tracking"]}, marks=True),
     Edit("04", texts=HEAVY),
     Edit("05", {"controllers": ["nmpc_observer", "ndi"]}),
     Edit("05", {"check_controllers": None, "tolerance": 1e-9}),
@@ -112,9 +116,6 @@ EDITS = [
     Edit("15_car", {"free_speeds_kmh": [360, 380, 400]}, marks=True),
     Edit("15_car", texts=CONES),
     Edit("15_car", texts={VEHICLE: ('"k_x", value = 30000.0', '"k_x", value = 60000.0')}),
-    Edit("15_errata", {"scenario_names": ["braking"]}, marks=True, quick=True),
-    Edit("15_errata", {"scenario_names": [], "variants": ["D1"]}, marks=True),
-    Edit("15_errata", {"variants": ["corrected", "D2"], "scenario_names": ["curve_entry_T3", "sine_tracking"]}),
 ]
 CASES = [
     pytest.param(edit, id=f"{edit.chapter}-{number}", marks=[] if edit.quick else pytest.mark.slow)
