@@ -98,6 +98,36 @@ def generalised_forces() -> tuple[sp.Expr, sp.Expr]:
     return pull["ri"] + pull["le"], arm["le"] * pull["le"] - arm["ri"] * pull["ri"]
 
 
+def lagrange(coordinate: sp.Symbol, rate: sp.Symbol, energies: tuple, rate_of_rates: dict) -> sp.Expr:
+    """Left side of Lagrange's equation, eq. (16b), of one coordinate and its rate (N or N m).
+
+    `energies`: kinetic energy, potential energy and dissipation; `rate_of_rates`: see `time_derivative`.
+    """
+    t, v, d = energies
+    by_t, by_v = (along_track(e) if coordinate == x else sp.diff(e, coordinate) for e in (t, v))
+    return time_derivative(sp.diff(t, rate), rate_of_rates) - by_t + by_v + sp.diff(d, rate)
+
+
+def derivatives_first(energies: tuple, dependent: dict) -> sp.Matrix:
+    """Lagrange's equations of all five coordinates, projected on the two free rates (2, 1). `dependent`: see
+    `constraints`."""
+    free = {xd: xdd, psid: psidd}
+    changes = free | {rate: time_derivative(e, free).subs(yd, dependent[yd]) for rate, e in dependent.items()}
+    total = sp.zeros(2, 1)
+    for coordinate, rate in zip(coordinates, rates, strict=True):
+        along = sp.Matrix([sp.diff(dependent.get(rate, rate), own) for own in free])
+        total += lagrange(coordinate, rate, energies, changes) * along
+    return total.subs(dependent)
+
+
+def constraints_first(energies: tuple, dependent: dict) -> sp.Matrix:
+    """Lagrange's equations of path and yaw after the constraints are inserted into the energies (2, 1): the printed
+    order (D1). `dependent`: see `constraints`."""
+    t, v, d = energies
+    reduced, free = (t.subs(dependent), v, d.subs(dependent)), {xd: xdd, psid: psidd}
+    return sp.Matrix([lagrange(q, rate, reduced, free) for q, rate in ((x, xd), (psi, psid))]).subs(dependent)
+
+
 @lru_cache
 def equations(discrepancies: frozenset[str] = frozenset()) -> tuple[sp.Matrix, sp.Matrix]:
     """Derive the equations of motion M a + h = 0 of the accelerations a = (xdd, psidd).
@@ -105,27 +135,7 @@ def equations(discrepancies: frozenset[str] = frozenset()) -> tuple[sp.Matrix, s
     `discrepancies` are the errata, such as "D1", that are kept as printed; none gives the corrected model. Returns the
     SymPy matrices M (2, 2) and h (2, 1).
     """
-    dependent = constraints(discrepancies)
-    t, v, d = (f(discrepancies) for f in (kinetic_energy, potential_energy, dissipation))
-    free = {xd: xdd, psid: psidd}
-    changes = free | {rate: time_derivative(e, free).subs(yd, dependent[yd]) for rate, e in dependent.items()}
-    forces = generalised_forces()
-    if "D1" in discrepancies:
-        t, d = t.subs(dependent), d.subs(dependent)
-        derivatives = (along_track, lambda e: sp.diff(e, psi))
-        residual = [
-            time_derivative(sp.diff(t, rate), free) - partial(t) + partial(v) + sp.diff(d, rate) - force
-            for rate, partial, force in zip((xd, psid), derivatives, forces, strict=True)
-        ]
-    else:
-        residual = [-force for force in forces]
-        for coordinate, rate in zip(coordinates, rates, strict=True):
-            by_t, by_v = (along_track(e) if coordinate == x else sp.diff(e, coordinate) for e in (t, v))
-            inertia = time_derivative(sp.diff(t, rate), changes) - by_t
-            equation = inertia + by_v + sp.diff(d, rate)
-            velocity = dependent.get(rate, rate)
-            for i, own in enumerate((xd, psid)):
-                residual[i] += equation * sp.diff(velocity, own)
-    residual = sp.Matrix(residual).subs(dependent)
-    mass = residual.jacobian(sp.Matrix(accelerations))
-    return mass, residual.subs({xdd: 0, psidd: 0})
+    energies = tuple(energy(discrepancies) for energy in (kinetic_energy, potential_energy, dissipation))
+    order = constraints_first if "D1" in discrepancies else derivatives_first
+    residual = order(energies, constraints(discrepancies)) - sp.Matrix(generalised_forces())
+    return residual.jacobian(sp.Matrix(accelerations)), residual.subs({xdd: 0, psidd: 0})

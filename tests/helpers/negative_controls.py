@@ -150,7 +150,9 @@ CONTROLS: dict[str, Control] = {
         )
     ),
     "a lag doubles the error": metrics(
-        lambda e, s, c, m, v: 2.1 * e.metrics[s.partition("ms, ")[2], c, m] if s.startswith("lag ") and m == "rmse_y" else v
+        lambda e, s, c, m, v: (
+            2.1 * e.metrics[s.partition("ms, ")[2], c, m] if s.startswith("lag ") and m == "rmse_y" else v
+        )
     ),
     "a lag derails": metrics(lambda e, s, c, m, v: 1.0 if s.startswith("lag 10 ") and m == "failed" else v),
     "preview without effect": like_nmpc(statements.PREVIEW),

@@ -13,7 +13,7 @@ import pandas as pd
 from scipy import stats
 
 from railrepro import paths
-from railrepro.control.registry import CONTROLLERS, PAPER, PAPER_TRIO
+from railrepro.control.registry import CONTROLLERS, LOOP, PAPER, PAPER_TRIO
 from railrepro.data import write
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal
@@ -27,9 +27,10 @@ from railrepro.tuning.task import load_task, triple_pole
 from railrepro.tuning.tune import fastest_pole
 from railrepro.vehicle.parameters import load_vehicle, sample_ranges
 
-SAMPLES, LONG, SEED = 128, 32, 2026
-"""Samples per column of verdicts, the same in each; number of those that also have the long runs of `probe.ONCE`;
-seed."""
+SAMPLES = {PAPER: 48, SWARM: 48, LOOP: 24}
+"""Samples per column of verdicts, the first ones of one sequence; more of them resume the study."""
+LONG, SEED = {PAPER: 20, SWARM: 20, LOOP: 12}, 2026
+"""Number of samples that also have the long runs of `probe.ONCE`; seed of the sequence."""
 TUNING, JUDGING = 1, 101
 """Seeds of the noise, in the setting `loop`."""
 OPEN = (
@@ -85,7 +86,7 @@ class Sample:
         return setup(v, self.setting, seed=seed)
 
 
-def draw(count: int = SAMPLES, settings: Sequence[str] = COLUMNS) -> list[Sample]:
+def draw(count: int, settings: Sequence[str] = COLUMNS) -> list[Sample]:
     """Draw `count` quasi-random samples of `prior` (scrambled Sobol sequence) for each column of verdicts.
 
     All columns have the same values."""
@@ -105,7 +106,7 @@ def evaluate(sample: Sample) -> dict:
     tuned = {name: _retuned(sample, name) for name in PAPER_TRIO}
     labels = {"number": sample.number, "setting": sample.setting}
     labels |= {"profile": world.profile, "ltv": world.ltv}
-    rows = probe(replace(world, parameters=tuned), (*PARTS, *ONCE) if sample.number < LONG else PARTS)
+    rows = probe(replace(world, parameters=tuned), (*PARTS, *ONCE) if sample.number < LONG[sample.setting] else PARTS)
     return labels | dict(sample.values) | {"/".join(key): value for *key, value in rows}
 
 
@@ -235,7 +236,7 @@ def main() -> None:
     write(paths.product("data/results/pole_verdicts.csv"), over_poles().to_csv(index=False, float_format="%.6g"))
     finished = []
     for setting in COLUMNS:
-        drawn = draw(SAMPLES, settings=(setting,))
+        drawn = draw(SAMPLES[setting], settings=(setting,))
         finished.append(pd.DataFrame(ordered_map(evaluate, drawn, f"robustness, {setting}")))
         table, found = pd.concat(finished), pd.concat([decided(each) for each in finished])
         write(paths.product("data/results/robustness_samples.csv"), table.to_csv(index=False, float_format="%.6g"))
