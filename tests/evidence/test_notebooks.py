@@ -42,7 +42,7 @@ class Edit(NamedTuple):
     quick: bool = False
 
 
-VEHICLE, TRACKS, SCENARIOS = ("data/vehicle.toml", "data/tracks.toml", "data/scenarios.toml")
+VEHICLE, TRACKS, SCENARIOS, TUNING = (f"data/{name}.toml" for name in ("vehicle", "tracks", "scenarios", "tuning"))
 HEAVY = {VEHICLE: ("value = 26000.0", "value = 24000.0")}
 CONES = {VEHICLE: ('value = "s1002"', 'value = "cone"')}
 EDITS = [
@@ -64,23 +64,32 @@ EDITS = [
     Edit("04", {"driven": ["sine_tracking"]}, marks=True),
     Edit("04", texts=HEAVY),
     Edit("05", {"controllers": ["nmpc_observer", "ndi"]}),
-    Edit("05", {"check_controllers": ["ndi"], "tolerance": 1e-9}),
+    Edit("05", {"check_controllers": None, "tolerance": 1e-9}),
+    Edit("05", {"particles": 12, "seed": 7, "map_points": 2}),
+    Edit("05", {"nmpc_particles": 1, "iterations": 1}, marks=True),
+    Edit("05", {"poles": [40], "r_factors": [0.5, 2]}, marks=True),
+    Edit("05", texts={TUNING: ("speeds_kmh = [400, 300, 200, 100]", "speeds_kmh = [400]")}),
+    Edit("05", texts={TUNING: ("least = 0.5", "least = 0.3")}, marks=True),
     Edit("05", {"controllers": ["lqg_preview"], "check_controllers": ["lqg_preview"]}, marks=True),
     Edit("05", {"controllers": ["ltv_mpc", "lqg_preview"], "check_controllers": ["ltv_mpc"]}, marks=True),
     Edit("06", {"end_m": 100.0, "ndi_poles": [20, 40]}, marks=True),
     Edit("06", {"end_m": 30.0, "ndi_poles": []}, marks=True),
-    Edit("06", {"end_m": 300.0, "ndi_poles": [30], "solver": "rti", "crest_mm": 2.0}),
-    Edit("06", {"end_m": 300.0, "ndi_poles": [30]}, CONES),
+    Edit("06", {"scenario_name": "curve_entry_T4", "end_m": 700.0}),
+    Edit("06", {"end_m": 300.0, "ndi_poles": [30], "horizons_s": [0.008], "crest_mm": 2.0}, marks=True),
+    Edit("06", {"end_m": 300.0, "horizons_s": [], "ndi_poles": [30], "rho": 0.0}, CONES, marks=True),
     Edit("07", {"stiff_times": 3.0, "end_m": 300.0}),
     Edit("07", {"speeds_kmh": [100], "end_m": 300.0}, marks=True),
     Edit("07", {"stiff_times": 1.0, "end_m": 60.0}, marks=True),
+    Edit("07", {"lags_ms": [5, 10, 15, 20, 30]}, marks=True),
+    Edit("07", {"lags_ms": [], "r_factors": [], "ndi_poles": []}, marks=True),
     Edit("07", {"end_m": 300.0}, {SCENARIOS: ("period_m = 150", "period_m = 75")}),
     Edit("08", {"set_points": [0.05, 0.085]}, marks=True),
-    Edit("08", {"patch_kN": 8.0}),
+    Edit("08", {"creep_slopes": [0.5], "friction": 0.15}, marks=True),
+    Edit("08", {"patch_kN": 8.0, "speed_kmh": 200.0}),
     Edit("08", texts={VEHICLE: ("value = 0.15,", "value = 0.12,")}),
-    Edit("09", {"larger": 10}),
+    Edit("09", {"larger": 100.0, "short_wave_m": 25.0}, marks=True),
     Edit("09", {"speed_kmh": 60.0, "r_factors": [0.1, 100], "ndi_poles": [], "reserves": []}, marks=True),
-    Edit("09", {"r_factors": [1, 3, 10], "ndi_poles": [25], "reserves": [0.1]}),
+    Edit("09", {"speed_kmh": 80.0, "r_factors": [1, 3, 10], "ndi_poles": [25], "reserves": [0.05, 0.1]}),
     Edit("10", {"sensed_kmh": [20]}),
     Edit("10", {"sensed": "ndi_feedforward"}),
     Edit("10", {"stress": {}}),

@@ -26,7 +26,7 @@ from railrepro.studies.executor import ordered_map
 
 PARTS = ("curve", "sine", "loss", "brake")
 """What Figs. 6 to 9 show, see `probe.PARTS`."""
-SIZES, DRAWS, SEED = (0.01, 0.03), 20, 2026
+SIZES, DRAWS, SEED = (0.01, 0.03), 10, 2026
 """Largest relative perturbations, draws of each, seed of the first."""
 R_FACTORS = (0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0)
 """Factors on the one R of NMPC (-), which some statements want small and others large."""
