@@ -34,6 +34,7 @@ class Panel(NamedTuple):
 PANELS = {
     "y": Panel("lateral\nposition (mm)", ("y",), 1e3, "y_ref"),
     "error": Panel("lateral\nerror (mm)", ("error",), 1e3),
+    "yaw": Panel("yaw\nangle (mrad)", ("psi_Ax",), 1e3),
     "creep": Panel("creep\nangle (mrad)", ("creep_angle",), 1e3),
     "du": Panel("differential\ntorque (N m)", ("du",), 1.0),
     "torque": Panel("right motor\ntorque (N m)", ("ri.tau",), 1.0),

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from railrepro import paths
-from railrepro.control.registry import PAPER_TRIO, with_r_times
+from railrepro.control.registry import PAPER_TRIO
 from railrepro.evidence.claims import calibrated, statements
 from railrepro.tuning import sets
 
@@ -45,19 +45,26 @@ def test_perturbations_move_every_changed_number_and_nothing_else(size):
         assert max(moved) <= 1 or name not in ("adhesion.poor.k_a", "adhesion.poor.k_s")
 
 
+def test_one_choice_is_undone_and_all_others_stay(monkeypatch):
+    monkeypatch.setattr(calibrated, "judged", lambda setup: pd.DataFrame({"setup": [setup]}))
+    values = {name: choice.value for name, choice in CHOICES.items()}
+    for name, choice in CHOICES.items():
+        ((setup, undone),) = calibrated.undone(name).to_numpy()
+        assert undone == name and setup == calibrated.setup(values | {name: choice.nominal})
+        assert setup != calibrated.cars()["calibrated"]
+
+
 def test_the_curve_entry_is_the_papers_with_margin():
     found = calibrated.judged(calibrated.cars()["calibrated"], parts=("curve",)).set_index("statement")
-    assert set(found.index) == {"C04", "C05", "C06", "C07", "C08", "C09", "C10", "C11", "C12", "C42"}
-    assert found["holds"].all() and found["margin"].min() > 0.03
+    assert set(found.index) == {"C04", "C05", "C06", "C07", "C08", "C09", "C10", "C11", "C12", "C42", "C51"}
+    assert set(found.index[~found["holds"]]) == {"C04", "C51"}, "NDI follows too little; preview is not the cause"
 
 
 @pytest.mark.slow
-def test_statements_hold_but_one_with_the_stop_of_the_paper():
+def test_most_statements_hold_with_one_r():
     setup = calibrated.cars()["calibrated"]
+    assert setup.r_loss == setup.r_brake == 1
     found = calibrated.judged(setup).set_index("statement")
-    assert set(found.index[~found["holds"]]) == {"C46"} and len(found) == 24
+    assert set(found.index[~found["holds"]]) == {"C04", "C30", "C32", "C46", "C51"} and len(found) == 25
     stored = pd.read_csv(paths.source("data/results/paper_like.csv")).set_index("statement")
     assert np.allclose(found["value"], stored.loc[found.index, "value"], rtol=2e-3)
-    for factor in (1.0, setup.r_second):
-        tuned = with_r_times(setup.parameters["nmpc"], setup.r_brake * factor)
-        assert setup.experiment(setup.scenario("braking"), "nmpc", tuned)()[0]["stopping_distance"] < 1000

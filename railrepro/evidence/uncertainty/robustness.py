@@ -27,7 +27,7 @@ from railrepro.tuning.task import load_task, triple_pole
 from railrepro.tuning.tune import fastest_pole
 from railrepro.vehicle.parameters import load_vehicle, sample_ranges
 
-SAMPLES = {PAPER: 64, SWARM: 64, LOOP: 32}
+SAMPLES = {PAPER: 48, SWARM: 48, LOOP: 24}
 """Samples per column of verdicts, the first ones of one sequence; more of them resume the study."""
 LONG, SEED = {PAPER: 20, SWARM: 20, LOOP: 12}, 2026
 """Number of samples that also have the long runs of `probe.ONCE`; seed of the sequence."""
