@@ -1,12 +1,11 @@
 """Forces and moment of creep: published peaks, Kalker's limit, bounds, symmetry, half spaces."""
 
 from dataclasses import astuple
-from itertools import product
 
 import casadi as ca
+import creep_errors
 import numpy as np
 import pytest
-from rolling_contact import rolling
 
 from railrepro.contact import creep
 from railrepro.vehicle.parameters import load_vehicle
@@ -54,34 +53,21 @@ def test_small_creepage_follows_kalker():
     assert spin[1:] == pytest.approx(-unit * root * 1e-4 * np.array([KALKER[2], root * KALKER[3]]), rel=0.01)
 
 
-CASES = list(product((0.1, 0.4, 1.0), np.pi / 4 * np.array([-1, 0, 1, 2])))
-"""Size of the creepages, as their linear force over three times friction, and their direction."""
-
-
 LIMITS = {
     0.0: (0.022, 0.007, 0.03, 0.03),
     0.02: (0.025, 0.016, 0.05, 0.03),
     0.08: (0.042, 0.06, 0.09, 0.1),
     0.2: (0.072, 0.15, 0.24, 0.26),
 }
-"""Spin: none, of a cone, of S1002 on dry rail, 2.5 times that. Mean errors of force and moment, largest ones."""
+"""Of each spin of `creep_errors`: mean errors of force and moment, largest ones."""
 
 
-@pytest.mark.parametrize("ratio", [0.7, 1.33, 2.0])
-@pytest.mark.parametrize("spin", LIMITS)
+@pytest.mark.parametrize("ratio", creep_errors.RATIOS)
+@pytest.mark.parametrize("spin", creep_errors.SPINS)
 def test_force_and_moment_agree_with_half_spaces(ratio, spin):
     """Errors over friction (and the size of the patch)."""
-    friction, root = 0.3, 5.75e-3
-    a, b = root * np.sqrt(ratio), root / np.sqrt(ratio)
-    kalker = creep.kalker_coefficients(ratio)
-    unit, errors = 3 * friction * LOAD / (SHEAR * a * b), []
-    for size, angle in CASES:
-        creepage = unit * size * np.array([np.cos(angle), np.sin(angle)]) / kalker[:2]
-        creepage = (*creepage, unit * spin / kalker[2] / root)
-        arguments = (*creepage, LOAD, a, b, *kalker, SHEAR, 1.0, 1.0, friction, 1.0, 0.0, 0.0)
-        along, across, turning = np.subtract(creep.polach(*arguments), rolling(creepage, LOAD, a, b, friction))
-        errors.append(np.array([np.hypot(along, across), abs(turning) / root]) / (friction * LOAD))
-    assert (np.ravel([np.mean(errors, axis=0), np.max(errors, axis=0)]) < LIMITS[spin]).all()
+    found = creep_errors.errors(ratio, spin)
+    assert (np.ravel([found.mean(axis=0), found.max(axis=0)]) < LIMITS[spin]).all()
 
 
 @pytest.mark.parametrize(("k_a", "k_s"), [(1.0, 1.0), (0.5, 1.0), (1.0, 0.4)])

@@ -45,6 +45,15 @@ def test_perturbations_move_every_changed_number_and_nothing_else(size):
         assert max(moved) <= 1 or name not in ("adhesion.poor.k_a", "adhesion.poor.k_s")
 
 
+def test_one_choice_is_undone_and_all_others_stay(monkeypatch):
+    monkeypatch.setattr(calibrated, "judged", lambda setup: pd.DataFrame({"setup": [setup]}))
+    values = {name: choice.value for name, choice in CHOICES.items()}
+    for name, choice in CHOICES.items():
+        ((setup, undone),) = calibrated.undone(name).to_numpy()
+        assert undone == name and setup == calibrated.setup(values | {name: choice.nominal})
+        assert setup != calibrated.cars()["calibrated"]
+
+
 def test_the_curve_entry_is_the_papers_with_margin():
     found = calibrated.judged(calibrated.cars()["calibrated"], parts=("curve",)).set_index("statement")
     assert set(found.index) == {"C04", "C05", "C06", "C07", "C08", "C09", "C10", "C11", "C12", "C42", "C51"}

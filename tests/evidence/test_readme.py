@@ -56,7 +56,7 @@ def test_the_first_program_draws_and_prints_the_numbers_of_the_table(monkeypatch
     program = re.search(r"^```python\n(from railrepro import .*?)^```", README, re.M | re.S).group(1)
     monkeypatch.chdir(tmp_path)
     exec(program, names := {})
-    errors = re.search(r"^\| \[Fig\. 6\].*\| (\S+ / \S+ / \S+) mm", README, re.M).group(1)
+    errors = re.search(r"^\| \[Fig\. 6\].*: (\S+ / \S+ / \S+) mm", README, re.M).group(1)
     assert list(names["runs"]["rmse_mm"]) == pytest.approx([float(one) for one in errors.split(" / ")], abs=5.1e-3)
     assert (tmp_path / "first.png").stat().st_size > 10_000
 

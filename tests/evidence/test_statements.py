@@ -39,6 +39,8 @@ def _metrics():
         put("curve_entry_T3", name, rmse_y=error, delay=delay, mean_error_last_third=-6e-4, effort_du=80.0, **shared)
     for name in TRIO[:2]:
         put("curve_entry_T3", name, ndi_later=6.0, ndi_alike=0.95)
+    for name, delay in ((statements.RATES, 4.0), (statements.SHORT, 3.5)):
+        put("curve_entry_T3", name, delay=delay, failed=0.0)
     put("curve_entry_T3", "nmpc, nearly rolling", mean_error_last_third=-2e-4)
     put("curve_entry_T3", "nmpc on cones", mean_error_last_third=-5e-4)
     put("curve_entry_T3", "nmpc on cones, nearly rolling", mean_error_last_third=-1e-4)
@@ -61,6 +63,10 @@ def _metrics():
         put(f"sine_tracking {speed}", "nothing", rmse_y=2e-3)
         for name, slope in zip(TRIO, (1e-6, 1.5e-6, 4e-6), strict=True):
             put(f"sine_tracking {speed}", name, rmse_y=slope * speed, failed=0.0)
+    for lag in statements.LAGS_MS:
+        for name, curve, slope in zip(TRIO[:2], (0.5e-3, 0.6e-3), (1e-6, 1.5e-6), strict=True):
+            put(f"lag {lag:g} ms, curve_entry_T3", name, rmse_y=1.1 * curve, failed=0.0)
+            put(f"lag {lag:g} ms, sine_tracking 400", name, rmse_y=1.1 * slope * 400, failed=0.0)
     put("adhesion_loss", "nothing", rmse_y=1.4e-3, excessive_slip=0.03)
     good = {"rmse_y": 0.7e-3, "largest_slip": 0.025, "failed": 0.0} | APPROACHING
     good |= {"set_point_gain": 0.9, "error_growth": 1.1, "flange": 0.0}

@@ -37,6 +37,7 @@ from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import Scenario, load_scenario
 from railrepro.studies import store
 from railrepro.track.alignment import alignments
+from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 SCENARIOS = ("curve_entry_T2", "curve_entry_T3", "curve_entry_T4", "sine_tracking", "adhesion_loss", "braking")
@@ -48,12 +49,12 @@ SLOWEST = 36.0
 
 def run(
     scenario: Scenario, guidance, *, vehicle: Vehicle | None = None, plant_vehicle: Vehicle | None = None,
-    adhesion=None, fixed_share: float = 0.0, substeps: int = 1, **others,
+    adhesion=None, fixed_share: float = 0.0, substeps: int = 1, route: Route | None = None, **others,
 ) -> simulate.Run:  # fmt: skip
     """`simulate.run` with the second car: ideal rails, perfect measurements."""
     assert not any(others.values()), others
     vehicle = vehicle or load_vehicle()
-    body, way = plant_vehicle or vehicle, scenario.route()
+    body, way = plant_vehicle or vehicle, route or scenario.route()
     lateral_law, factory = lateral.split(guidance)
     limits = {"lateral_limit": DERAILED, "track_end": way.length, "stop_speed": scenario.stop_speed}
     control = law.control_law(vehicle, lateral_law, adhesion, fixed_share, **limits)

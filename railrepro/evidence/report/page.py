@@ -179,6 +179,10 @@ class Page:
         """Markdown link "[value unit](its table)" of a metric: value of `e` in `unit`, three digits (`quantity`)."""
         return linked(self.e(setting, scenario, controller, metric), METRICS, unit)
 
+    def sudden(self, metric: str, controller: str) -> list[float]:
+        """Values (SI) of a metric of a controller in the four sudden losses of adhesion, in the setting "paper"."""
+        return [self.e(PAPER, case, controller, metric) for case in statements.SUDDEN]
+
     def find(self, identity: str, setting: str) -> Finding:
         """Measured value of a statement in a setting, as a `Finding`; MissingEvidence when metrics are missing."""
         return statements.find(identity, self.nominal.evidence(setting))

@@ -7,7 +7,7 @@ from itertools import product
 
 import pandas as pd
 
-from railrepro.control.registry import CONTROLLERS, LOOP, SETTINGS
+from railrepro.control.registry import BY_SWARM, CONTROLLERS, LOOP, SETTINGS
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.studies.experiment import Experiment
 from railrepro.tuning import sets
@@ -36,7 +36,7 @@ def experiments(
     """Experiments with all tuned sets in all settings of comparison, for the cases of `CASES`.
 
     Args:
-        names (sequence of str): Controllers.
+        names (sequence of str): Controllers. Those of `BY_SWARM` drive in the setting `paper` only.
         cases (sequence of str): Keys of `CASES`.
         noise_seeds (sequence of int): Seeds of the sensors in the setting `loop`; all but the best set have the first.
         swarms (int or None): Number of sets per controller, of the swarms with the lowest cost; None for all.
@@ -44,7 +44,8 @@ def experiments(
         stress (mapping): Changes of data/sensors.toml in cases that end with "stressed", as {"inverter.gain": 1.2}.
     """
     found = []
-    for setting, name in product(SETTINGS, names):
+    pairs = [pair for pair in product(SETTINGS, names) if pair[0] != LOOP or pair[1] not in BY_SWARM]
+    for setting, name in pairs:
         tuned = sets.load(name, setting)
         designed = [{"seed": 0, "parameters": tuned["parameters"], "cost": 0.0}]
         ranked = sorted(tuned.get("swarms", designed), key=lambda swarm: swarm["cost"])[:swarms]
