@@ -87,7 +87,7 @@ EDITS = [
     Edit("07", {"speeds_kmh": [100], "end_m": 300.0}, marks=True),
     Edit("07", {"stiff_times": 1.0, "end_m": 60.0}, marks=True),
     Edit("07", {"lags_ms": [5, 10, 15, 20, 30]}, marks=True),
-    Edit("07", {"lags_ms": [], "r_factors": [], "ndi_poles": []}, marks=True),
+    Edit("07", {"r_factors": [1], "ndi_poles": []}, marks=True),
     Edit("07", {"end_m": 300.0}, {SCENARIOS: ("period_m = 150", "period_m = 75")}),
     Edit("08", {"set_points": [0.05, 0.085]}, marks=True),
     Edit("08", {"creep_slopes": [0.5], "friction": 0.15}, marks=True),
