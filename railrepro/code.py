@@ -1,8 +1,8 @@
-"""The code that this process runs: one version of the library, the content of each module, and what they compute with.
+"""Hashes of the code that this process runs, for the keys of caches.
 
-Files may be edited while a process imports them. So they are read when the package is imported, and checked again
-before a cache is read or written. The content of a module is its text without comments, docstrings and empty lines; one
-pattern cuts it out, so that all versions of Python agree on it.
+Files may be edited while a process imports them. They are therefore read when the package is imported, and checked
+again before a cache is read or written. The content of a module is its text without comments, docstrings and empty
+lines. A regular expression extracts it, so that all versions of Python give the same hash.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from functools import cache
 from pathlib import Path
 
 PACKAGES = ("numpy", "scipy", "casadi", "pandas", "sympy", "matplotlib", "pillow")
-"""Packages whose version may change a number or a figure; others only check, start or show the computations."""
+"""Packages whose version may change a number or a figure."""
 _FOLDER = os.path.dirname(__file__)
 _ABOVE = ("railrepro/evidence/", "railrepro/tuning/", "railrepro/studies/")
-"""Folders of modules that ask for runs. What they compute from a run is known by the code that it can reach."""
+"""Folders of modules that use runs. Results that they compute from runs are keyed by `reached_from` as well."""
 DRAWING = ("railrepro/figures.py", "railrepro/simulation/plot.py")
-"""Modules that draw a run, which no number depends on."""
-_TOKEN = re.compile(  # `++`, for a quote that nothing closes would take exponential time
+"""Modules that draw a run. No number depends on them."""
+_TOKEN = re.compile(  # `++`: a quote that nothing closes would take exponential time
     r"""(?P<start>(?<!\\\n)^[ \t]*[rR]?)?(?P<quote>"{3}|'{3}|"|')(?:[^\\"']++|\\.|(?!(?P=quote))["'])*+(?P=quote)"""
     r"(?P<end>(?=[ \t]*(?:$|\#)))?|(?P<comment>\#[^\n]*)|(?P<open>[(\[{])|(?P<close>[)\]}])",
     re.DOTALL | re.MULTILINE,
@@ -34,11 +34,11 @@ _EMPTY = re.compile(r"[ \t]*\n(?:[ \t]*\n)*")
 _FROM = re.compile(r"^[ \t]*from[ \t]+(railrepro[\w.]*)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)", re.MULTILINE)
 _IMPORT = re.compile(r"^[ \t]*import[ \t][^\n]*\brailrepro\b", re.MULTILINE)
 _DOTTED = re.compile(r"\brailrepro(?:\.\w+)+")
-"""A module in an import, or in a text that `pkgutil.resolve_name` imports when it is used."""
+"""Dotted name of a module, in an import or in a text that `pkgutil.resolve_name` takes."""
 
 
 def signature(file: str | os.PathLike) -> tuple[int, int] | None:
-    """Size of a file and time of its last change (ns); None when there is no such file."""
+    """Return the size of a file (bytes) and the time of its last change (ns), or None if there is no such file."""
     with suppress(OSError, ValueError):
         status = os.stat(file)
         return status.st_size, status.st_mtime_ns
@@ -51,7 +51,7 @@ _FILES = {
     for name in names
     if name.endswith((".py", ".c", ".h"))
 }
-"""Sources by their names from the package on."""
+"""Name of a source file, such as "railrepro/clock.py" -> its path."""
 _SIGNATURES = {file: signature(file) for file in _FILES.values()}
 _BYTES = {name: Path(file).read_bytes() for name, file in sorted(_FILES.items())}
 _edited, _looked = False, -math.inf
@@ -60,8 +60,8 @@ _edited, _looked = False, -math.inf
 def unchanged(within: float = 0.0) -> bool:
     """Whether no source file has changed in size or time since this process imported the package.
 
-    The first change prints a message to stderr. Once False the result stays False, even if the file is put back,
-    because a module may have been imported in between. A check counts for the next `within` seconds.
+    The first change prints a message to stderr. The result then stays False even if the file is restored, because a
+    module may have been imported in between. The files are not checked again within `within` seconds.
     """
     global _edited, _looked
     if _edited or time.monotonic() - _looked < within:
@@ -79,8 +79,8 @@ def unchanged(within: float = 0.0) -> bool:
 
 
 def content(text: str) -> str:
-    """Python source `text` without comments, docstrings, empty lines and trailing blanks. A docstring is any string
-    that stands as a statement. Other strings stay as they are."""
+    """Remove comments, docstrings, empty lines and trailing blanks from Python source. A docstring is here any string
+    that is a statement. Other strings stay as they are."""
     text = text.replace("\r\n", "\n")
     parts, code, depth, end = [], "", 0, 0
     for match in _TOKEN.finditer(text):
@@ -98,7 +98,7 @@ def content(text: str) -> str:
 
 
 def _imported(content: str) -> set[str]:
-    """Sources that Python source `content` imports or names, with those of the packages that they are in."""
+    """Return the source files of all modules that Python source imports or names, and of the packages around them."""
     from railrepro import FACADE  # the package imports this module first
 
     joined = content.replace("\\\n", " ")
@@ -115,7 +115,7 @@ def _imported(content: str) -> set[str]:
 
 @cache
 def _text(name: str) -> str:
-    """Content of a module, as this process imported it."""
+    """Content of a module as this process imported it."""
     return content(_BYTES[name].decode())
 
 
@@ -126,7 +126,8 @@ def _source_hash(name: str) -> str:
 
 @cache
 def _next(name: str) -> frozenset[str]:
-    """Modules that a module imports or names, and the C sources beside it; the facade is followed where it is used."""
+    """Return the source files that a module imports or names, and the C sources in its folder. The facade has none, as
+    `_imported` resolves its names."""
     if not name.endswith(".py") or name == "railrepro/__init__.py":
         return frozenset()
     folder = name.rpartition("/")[0]
@@ -135,8 +136,8 @@ def _next(name: str) -> frozenset[str]:
 
 
 def reached(*texts: str) -> dict[str, str]:
-    """Dict from file of this package, such as "railrepro/clock.py", to the SHA-256 of its content. It holds all files
-    that the Python sources `texts` import, directly or through other modules."""
+    """Return all files of this package that the Python sources `texts` import, directly or through other modules, as a
+    dict: name, such as "railrepro/clock.py" -> SHA-256 of its content."""
     found: dict[str, str] = {}
     pending = [file for text in texts for file in _imported(content(text))]
     while pending:
@@ -149,27 +150,26 @@ def reached(*texts: str) -> dict[str, str]:
 
 @cache
 def reached_from(module: str) -> str:
-    """SHA-256 over all files of this package that a module can reach, without those in `DRAWING`, as imported."""
-    found = reached(f"from {module} import {module}").items()
-    return _joined(file_hash for file_hash in found if file_hash[0] not in DRAWING)
+    """SHA-256 of all files that the module `module` of this package reaches, see `reached`, except `DRAWING`."""
+    return _joined(reached(f"from {module} import {module}"))
 
 
-def _joined(hashes: Iterable[tuple[str, str]]) -> str:
-    """SHA-256 over names of files and their hashes."""
-    return hashlib.sha256("\n".join(map(" ".join, hashes)).encode()).hexdigest()
+def _joined(names: Iterable[str]) -> str:
+    """SHA-256 of the names and hashes of source files, except `DRAWING`."""
+    lines = [f"{name} {_source_hash(name)}" for name in names if name not in DRAWING]
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
 @cache
 def version() -> str:
-    """SHA-256 over the sources of this package by which a run is computed; the same on all machines. It is the state
-    at import. Before using it as the key of a cache, check `unchanged`."""
-    names = [name for name in _BYTES if not name.startswith(_ABOVE) and name not in DRAWING]
-    return _joined((name, _source_hash(name)) for name in names)
+    """SHA-256 of all sources that compute a run, as imported; the same on all machines. Check `unchanged` before using
+    it as the key of a cache."""
+    return _joined(name for name in _BYTES if not name.startswith(_ABOVE))
 
 
 @cache
 def packages() -> dict[str, str]:
-    """Dict from the names in `PACKAGES` to the installed version; "" for a package that is not installed."""
+    """Dict: name in `PACKAGES` -> installed version, "" for a package that is not installed."""
     from importlib.metadata import PackageNotFoundError
     from importlib.metadata import version as installed
 
