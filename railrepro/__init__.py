@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 if sys.platform == "win32":
-    raise ImportError("railrepro runs on Linux, on Windows in WSL, the Windows Subsystem for Linux")
+    raise ImportError("railrepro runs on Linux, and on Windows in WSL, the Windows Subsystem for Linux")
 
 from railrepro import code  # noqa: E402, F401  before all others: it reads the files that this process imports
 

@@ -70,8 +70,8 @@ def unchanged(within: float = 0.0) -> bool:
     if any(signature(file) != before for file, before in _SIGNATURES.items()):
         _edited = True
         print(
-            "railrepro was edited after this process imported it: nothing is read from its caches or stored there; "
-            "restart (in Jupyter the kernel) to run the edited code",
+            "railrepro was edited after this process imported it: caches are not used; "
+            "restart the process (in Jupyter the kernel) to run the edited code",
             file=sys.stderr,
             flush=True,
         )
@@ -126,8 +126,7 @@ def _source_hash(name: str) -> str:
 
 @cache
 def _next(name: str) -> frozenset[str]:
-    """Return the source files that a module imports or names, and the C sources in its folder. The facade has none, as
-    `_imported` resolves its names."""
+    """Return the source files that a module imports or names, and C sources in its folder; none for the facade."""
     if not name.endswith(".py") or name == "railrepro/__init__.py":
         return frozenset()
     folder = name.rpartition("/")[0]
@@ -162,19 +161,17 @@ def _joined(names: Iterable[str]) -> str:
 
 @cache
 def version() -> str:
-    """SHA-256 of all sources that compute a run, as imported; the same on all machines. Check `unchanged` before using
-    it as the key of a cache."""
+    """SHA-256 of all sources that compute a run, as imported. Check `unchanged` before it is the key of a cache."""
     return _joined(name for name in _BYTES if not name.startswith(_ABOVE))
 
 
 @cache
 def packages() -> dict[str, str]:
     """Dict: name in `PACKAGES` -> installed version, "" for a package that is not installed."""
-    from importlib.metadata import PackageNotFoundError
-    from importlib.metadata import version as installed
+    from importlib import metadata  # takes long to import
 
     found = dict.fromkeys(PACKAGES, "")
     for name in PACKAGES:
-        with suppress(PackageNotFoundError):
-            found[name] = installed(name)
+        with suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
     return found

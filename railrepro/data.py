@@ -113,8 +113,7 @@ def require(what: str, value, allowed: Quantity | type, whole: bool = False) -> 
 
 
 def check_fields(settings: Any) -> None:
-    """Raise InputError if a field of a dataclass instance is outside its annotated `Quantity`, or if a field of type
-    bool or str has a value of another type."""
+    """Raise InputError unless each field of a dataclass instance fits its annotation: a `Quantity`, bool or str."""
     kind: Any = type(settings)
     for name, hint in _hints(kind, include_extras=True).items():
         base, *notes = typing.get_args(hint) if typing.get_origin(hint) is Annotated else (hint, hint)
@@ -204,8 +203,7 @@ def location(path: Path | str | None, default: Path | None = None) -> Path:
 
 
 def text(path: Path) -> str:
-    """Read a text file in UTF-8. InputError if there is no regular file, it is larger than `LARGEST_FILE`, or it cannot
-    be read. Pipes and devices are not opened."""
+    """Read a regular file in UTF-8. InputError if it is missing, not readable, or larger than `LARGEST_FILE`."""
     try:
         found = path.stat()
         if not stat.S_ISREG(found.st_mode):
@@ -222,8 +220,7 @@ def text(path: Path) -> str:
 
 
 def read(path: Path) -> Any:
-    """Read a TOML or JSON file as dicts and lists; .json and .ipynb mean JSON. InputError if it cannot be read, see
-    `text`, or is empty."""
+    """Read a TOML file, or a JSON file (.json, .ipynb), as dicts and lists. InputError if it is invalid or empty."""
     kind, content = "JSON" if path.suffix in (".json", ".ipynb") else "TOML", text(path)
     try:
         content = json.loads(_parsed(content, kind))
@@ -255,14 +252,11 @@ _hints = functools.cache(typing.get_type_hints)
 
 
 def build(kind: type, content: Any, where: str, instance: Any = None) -> Any:
-    """Check the content of a file and convert it to instances of a class. InputError names the first fault.
+    """Check dicts and lists as from `read` and convert them to instances of a class. InputError names the first fault.
 
-    Args:
-        kind (type): Class marked with `table`, or `dict[str, that class]` for a file of named tables.
-        content: Dicts and lists as from `read`.
-        where (str): Name of the file in the message.
-        instance: Only for constructors: the new object, which takes the values. Validators see in the `context` of
-            pydantic whether it is None, so that the content is that of a file.
+    `kind` is a class marked with `table`, or `dict[str, that class]` for named tables; `where` names the file in the
+    message. `instance` is for constructors: the new object, which takes the values. Validators see in the `context` of
+    pydantic whether it is None, so that the content is that of a file.
     """
     try:
         return _adapter(kind).validator.validate_python(content, self_instance=instance, context=instance is None)
@@ -290,8 +284,7 @@ def _keys(content: Any, location: tuple, missing: bool) -> Iterator[str]:
 
 
 def write(path: Path, content: str | bytes) -> None:
-    """Write text (UTF-8) or bytes to a file, and make missing folders. InputError if the file cannot be written; an
-    existing file is then unchanged."""
+    """Write text (UTF-8) or bytes, and make missing folders. InputError if it fails: an old file is then unchanged."""
     part = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -301,7 +294,7 @@ def write(path: Path, content: str | bytes) -> None:
         finally:
             part.unlink(missing_ok=True)
     except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error}); what was there is intact") from error
+        raise InputError(f"{path}: cannot be written ({error.strerror or error}); an old file is unchanged") from error
 
 
 @contextmanager
@@ -314,8 +307,7 @@ def alone(lock: Path) -> Iterator[None]:
 
 @contextmanager
 def scratch() -> Iterator[Path]:
-    """Context manager: make a temporary folder and remove it at the end. Folders of killed processes, whose locks have
-    ended, are removed too."""
+    """Context manager: make a temporary folder and remove it at the end. Those of killed processes are removed too."""
     for left in Path(tempfile.gettempdir()).glob("railrepro-scratch-*"):
         with suppress(OSError), _locked(left):
             shutil.rmtree(left, ignore_errors=True)

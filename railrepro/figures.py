@@ -56,8 +56,7 @@ SETTING_MARKERS = {"paper": "o", "loop": "^"}
 
 
 def new_figure(rows: int = 1, columns: int = 1, height: float = 1.5, width: float = WIDTH, **options):
-    """Return the pair (figure, axes) of `plt.subplots`, which takes `options`, for rows of a height and columns of a
-    width (in)."""
+    """Return (figure, axes) of `plt.subplots`, which takes `options`. Row height and column width are in inches."""
     mpl.rcParams.update(_SETTINGS["matplotlib"])
     figure, axes = plt.subplots(rows, columns, figsize=(width * columns, height * rows), **options)
     plt.close(figure)  # or a notebook would show it twice
@@ -77,10 +76,8 @@ def points(name: str, **options) -> dict:
 
 
 def save_figure(figure: Figure, name: str, data: pd.DataFrame) -> None:
-    """Write a figure to figures/NAME.png and its plotted data to figures/NAME.csv, and show it in a notebook.
-
-    Panels get letters where there are several. Columns of `data` have their unit in the name.
-    """
+    """Write a figure to figures/NAME.png and its plotted data to figures/NAME.csv, and show it in a notebook. Several
+    panels get letters. Columns of `data` have their unit in the name."""
     from IPython import get_ipython  # not installed with the library
     from IPython.display import display
 

@@ -31,15 +31,14 @@ Value = TypeVar("Value")
 
 
 def product(relative: str) -> Path:
-    """Return the path to which to write a product, such as "data/results/f.csv", and make missing folders. It is in the
-    checkout, or in the folder to which products are redirected, see the module."""
+    """Return the path to which a product, such as "data/results/f.csv", is written, and make missing folders."""
     path = (_redirected() or ROOT) / relative
     path.parent.mkdir(parents=True, exist_ok=True)
     return path
 
 
 def source(relative: str) -> Path:
-    """Return the path from which to read an input or a product, such as "data/vehicle.toml". The first folder that has
+    """Return the path from which an input or a product, such as "data/vehicle.toml", is read. The first folder that has
     it counts: the one to which products are redirected, the installed package, the checkout."""
     folders = [folder for folder in (_redirected(), _PACKAGE if INSTALLED else None) if folder]
     return next((folder / relative for folder in folders if (folder / relative).exists()), ROOT / relative)

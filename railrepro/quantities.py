@@ -26,8 +26,7 @@ Group = TypeVar("Group")
 
 
 def reannotated(of: type[Group], **annotations: Any) -> type[Group]:
-    """Make a subclass of a dataclass of quantities in which some fields have other annotations, such as labels that are
-    known only at run time. The order of the fields stays."""
+    """Make a subclass of a dataclass of quantities with other annotations of some fields, in the same order."""
     return make_dataclass(of.__name__, annotations.items(), bases=(of,), frozen=True)
 
 

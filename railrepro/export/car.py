@@ -36,10 +36,7 @@ def export_fmu(
         route (Route or str): Route, or the name of a track.
         speed (float): Initial speed (m/s), above 0 up to 125.
         vehicle (Vehicle, optional): Default data/vehicle.toml.
-        platforms (sequence of str, optional): As in `export.fmu.Fmu.write`; default this platform.
-
-    Raises:
-        InputError: An argument is invalid, there is no C compiler, or the file cannot be written.
+        platforms (sequence of str, optional): As in `export.fmu.Fmu.write`, which also lists the errors.
     """
     return car_fmu(SteppedCar(route, speed, vehicle), speed).write(path, platforms)
 

@@ -90,8 +90,8 @@ class Export:
         predictive = isinstance(first, PredictiveController) and first.compiled(None) is not None
         if first and not (predictive or hasattr(first, "exported")):
             raise InputError(
-                f"export: {type(first).__name__} is no 1 kHz law, LTV-MPC, NMPC by another solver than Ipopt or "
-                "LqgPreview, which alone have C of their own"
+                f"export: {type(first).__name__} is no 1 kHz law, LTV-MPC, NMPC without Ipopt or LqgPreview; "
+                "only these can be exported"
             )
         if any(type(one) is not type(first) or one.settings != first.settings for one in planners):
             raise InputError("export: both gears need controllers of one class with the same settings")
