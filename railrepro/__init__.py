@@ -43,12 +43,12 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module, _, entry = FACADE[name].rpartition(".")
     try:
-        found = getattr(__import__(module, fromlist=[entry]), entry)  # from module import entry
+        value = getattr(__import__(module, fromlist=[entry]), entry)  # from module import entry
     except ModuleNotFoundError as error:
         error.add_note("railrepro needs the Python of its installation: in a clone .venv/bin/python (`make setup`)")
         raise
-    globals()[name] = found
-    return found
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:

@@ -54,7 +54,7 @@ _FILES = {
 """Name of a source file, such as "railrepro/clock.py" -> its path."""
 _SIGNATURES = {file: signature(file) for file in _FILES.values()}
 _BYTES = {name: Path(file).read_bytes() for name, file in sorted(_FILES.items())}
-_edited, _looked = False, -math.inf
+_edited, _checked = False, -math.inf
 
 
 def unchanged(within: float = 0.0) -> bool:
@@ -63,10 +63,10 @@ def unchanged(within: float = 0.0) -> bool:
     The first change prints a message to stderr. The result then stays False even if the file is restored, because a
     module may have been imported in between. The files are not checked again within `within` seconds.
     """
-    global _edited, _looked
-    if _edited or time.monotonic() - _looked < within:
+    global _edited, _checked
+    if _edited or time.monotonic() - _checked < within:
         return not _edited
-    _looked = time.monotonic()
+    _checked = time.monotonic()
     if any(signature(file) != before for file, before in _SIGNATURES.items()):
         _edited = True
         print(
@@ -102,13 +102,13 @@ def _imported(content: str) -> set[str]:
     from railrepro import FACADE  # the package imports this module first
 
     joined = content.replace("\\\n", " ")
-    found = set(_DOTTED.findall(joined))
-    for module, names in _FROM.findall(joined):
-        found |= {f"{module}.{name}" for name in re.findall(r"(?:^|[(,])\s*(\w+|\*)", names)}
-    if _IMPORT.search(joined) or "railrepro.*" in found:  # any name of the facade may follow
-        found |= {f"railrepro.{name}" for name in FACADE}
-    found |= {home for name, home in FACADE.items() if f"railrepro.{name}" in found}
-    parts = [name.split(".") for name in found]  # where the last part is no module, it is a name within one
+    modules = set(_DOTTED.findall(joined))
+    for package, names in _FROM.findall(joined):
+        modules |= {f"{package}.{name}" for name in re.findall(r"(?:^|[(,])\s*(\w+|\*)", names)}
+    if _IMPORT.search(joined) or "railrepro.*" in modules:  # any name of the facade may follow
+        modules |= {f"railrepro.{name}" for name in FACADE}
+    modules |= {home for name, home in FACADE.items() if f"railrepro.{name}" in modules}
+    parts = [name.split(".") for name in modules]  # where the last part is no module, it is a name within one
     bases = {"/".join(part[:n]) for part in parts for n in range(1, len(part) + 1)}
     return {file for base in bases for file in (f"{base}.py", f"{base}/__init__.py") if file in _BYTES}
 
@@ -137,14 +137,14 @@ def _next(name: str) -> frozenset[str]:
 def reached(*texts: str) -> dict[str, str]:
     """Return all files of this package that the Python sources `texts` import, directly or through other modules, as a
     dict: name, such as "railrepro/clock.py" -> SHA-256 of its content."""
-    found: dict[str, str] = {}
+    hashes: dict[str, str] = {}
     pending = [file for text in texts for file in _imported(content(text))]
     while pending:
         file = pending.pop()
-        if file not in found:
-            found[file] = _source_hash(file)
+        if file not in hashes:
+            hashes[file] = _source_hash(file)
             pending += _next(file)
-    return dict(sorted(found.items()))
+    return dict(sorted(hashes.items()))
 
 
 @cache
@@ -170,8 +170,8 @@ def packages() -> dict[str, str]:
     """Dict: name in `PACKAGES` -> installed version, "" for a package that is not installed."""
     from importlib import metadata  # takes long to import
 
-    found = dict.fromkeys(PACKAGES, "")
+    versions = dict.fromkeys(PACKAGES, "")
     for name in PACKAGES:
         with suppress(metadata.PackageNotFoundError):
-            found[name] = metadata.version(name)
-    return found
+            versions[name] = metadata.version(name)
+    return versions

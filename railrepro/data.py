@@ -205,11 +205,11 @@ def location(path: Path | str | None, default: Path | None = None) -> Path:
 def text(path: Path) -> str:
     """Read a regular file in UTF-8. InputError if it is missing, not readable, or larger than `LARGEST_FILE`."""
     try:
-        found = path.stat()
-        if not stat.S_ISREG(found.st_mode):
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
             raise InputError(f"{path}: is a folder, a pipe or a device, a regular file is needed")
-        if found.st_size > LARGEST_FILE:
-            raise InputError(f"{path}: has {found.st_size / 1e6:.0f} MB, at most {LARGEST_FILE / 1e6:.0f} MB are read")
+        if status.st_size > LARGEST_FILE:
+            raise InputError(f"{path}: has {status.st_size / 1e6:.0f} MB, at most {LARGEST_FILE / 1e6:.0f} MB are read")
         return path.read_text(encoding="utf-8")
     except FileNotFoundError as error:
         raise InputError(f"there is no file {path}") from error
@@ -239,12 +239,12 @@ def _parsed(content: str, kind: str) -> str:
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Make a dict of a JSON object and refuse a key that occurs twice, which Python's parser permits."""
-    found: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     for key, value in pairs:
-        if key in found:
+        if key in result:
             raise ValueError(f"the key {key!r} occurs twice")
-        found[key] = value
-    return found
+        result[key] = value
+    return result
 
 
 _adapter = functools.cache(pydantic.TypeAdapter)
@@ -263,10 +263,10 @@ def build(kind: type, content: Any, where: str, instance: Any = None) -> Any:
     except pydantic.ValidationError as error:
         finding = error.errors(include_url=False)[0]
     missing = finding["type"] == "missing"
-    place = ".".join(_keys(content, finding["loc"], missing))
-    own = "is missing" if missing else finding.get("ctx", {}).get("error")
-    fault = own or f"{finding['msg']}, found {reprlib.repr(finding['input'])}"
-    raise InputError(f"{where}: {place}{'' if own or not place else ':'} {fault}".replace(":  ", ": "))
+    key = ".".join(_keys(content, finding["loc"], missing))
+    ours = "is missing" if missing else finding.get("ctx", {}).get("error")  # has a verb, unlike those of pydantic
+    fault = ours or f"{finding['msg']}, found {reprlib.repr(finding['input'])}"
+    raise InputError(f"{where}: {key}{'' if ours or not key else ':'} {fault}".replace(":  ", ": "))
 
 
 def _keys(content: Any, location: tuple, missing: bool) -> Iterator[str]:

@@ -10,14 +10,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import fields, is_dataclass, make_dataclass
 from functools import cache
-from itertools import product
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import casadi as ca
 
 GEARS = ("front", "rear")
 SIDES = ("le", "ri")
-GEAR_AND_SIDE = dict(zip(("front_le", "front_ri", "rear_le", "rear_ri"), product(GEARS, SIDES), strict=True))
+GEAR_AND_SIDE = {f"{gear}_{side}": (gear, side) for gear in GEARS for side in SIDES}
 """Name of a wheel -> (running gear, side). "le" is left, "ri" is right."""
 WHEELS = tuple(GEAR_AND_SIDE)
 Scalar = Any
@@ -34,28 +33,28 @@ def reannotated(of: type[Group], **annotations: Any) -> type[Group]:
 def _members(of: Any) -> list[tuple[str, type | None, tuple[str, ...] | None, Any]]:
     """Return for each field its name, its class if it is a dataclass, its labels if it is a list, and its note."""
     hints = get_type_hints(of, include_extras=True)
-    found: list = []
+    result: list = []
     for field in fields(of):
         inner, *more = get_args(hints[field.name]) or (hints[field.name],)
         note = more[0] if more else None
         if is_dataclass(inner):
-            found.append((field.name, inner, None, note))
+            result.append((field.name, inner, None, note))
         elif inner is not str:
             labels = tuple(map(str, more[0])) if get_origin(inner) is list else None
-            found.append((field.name, None, labels, note or inner))
-    return found
+            result.append((field.name, None, labels, note or inner))
+    return result
 
 
 def notes(of: type) -> list[tuple[str, Any]]:
     """Return the pairs (name, note) of all entries in order. The note is the unit (str) or the `data.Quantity` of the
     entry; its type where it has neither, None for an element of a list."""
-    found: list[tuple[str, Any]] = []
+    result: list[tuple[str, Any]] = []
     for name, inner, labels, note in _members(of):
         if inner:
-            found += [(f"{note or name}.{entry}", unit) for entry, unit in notes(inner)]
+            result += [(f"{note or name}.{entry}", unit) for entry, unit in notes(inner)]
         else:
-            found += [(name, note)] if labels is None else [(f"{name}.{label}", None) for label in labels]
-    return found
+            result += [(name, note)] if labels is None else [(f"{name}.{label}", None) for label in labels]
+    return result
 
 
 def names(of: type) -> tuple[str, ...]:
@@ -66,11 +65,11 @@ def names(of: type) -> tuple[str, ...]:
 
 def pack(values: Any) -> list:
     """Return the entries of an instance as a flat list in the order of `names`."""
-    found: list = []
+    result: list = []
     for name, inner, labels, _ in _members(type(values)):  # type: ignore[arg-type]
         value = getattr(values, name)
-        found += pack(value) if inner else [value] if labels is None else value
-    return found
+        result += pack(value) if inner else [value] if labels is None else value
+    return result
 
 
 def unpack(of: type[Group], entries: Iterable) -> Group:

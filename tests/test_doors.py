@@ -21,8 +21,9 @@ SETTINGS |= dict.fromkeys(("PIP_TARGET", "PIP_PREFIX", "UV_TARGET", "UV_CONSTRAI
 SOURCES = dict.fromkeys(("PIP_INDEX_URL", "UV_DEFAULT_INDEX", "UV_INDEX_LAB_PASSWORD"), "kept")
 FOREIGN = ("RAILREPRO_ROOT", "RAILREPRO_OUTPUT", "RAILREPRO_STORE", "RAILREPRO_LEADER", "MAKEFLAGS", "MAKELEVEL")
 FOREIGN += ("UV_CACHE_DIR", "XDG_CACHE_HOME")
-as_root = pytest.mark.skipif(os.getuid() != 0 or not shutil.which("setpriv"), reason="needs root and setpriv")
-in_git = pytest.mark.skipif(not (paths.ROOT / ".git").exists(), reason="needs a git repository")
+IN_GIT = (paths.ROOT / ".git").exists()
+in_git = pytest.mark.skipif(not IN_GIT, reason="needs a git repository")
+as_root = pytest.mark.skipif(not (IN_GIT and os.getuid() == 0 and shutil.which("setpriv")), reason="needs root and git")
 
 
 def git(*arguments, cwd=paths.ROOT):
@@ -87,7 +88,6 @@ def test_only_settings_of_a_user_for_sources_reach_the_environment():
 
 @pytest.mark.slow
 @as_root
-@in_git
 def test_setup_by_a_user_without_a_home_and_with_other_settings(clone):
     run("make setup", clone, "/nonexistent", **SETTINGS)
     assert "numpy" in run(".venv/bin/python -c 'import numpy, railrepro; print(numpy.__name__)'", clone, "/nonexistent")
@@ -100,7 +100,6 @@ def steps(text, word):
 
 @pytest.mark.slow
 @as_root
-@in_git
 def test_the_commands_of_the_dockerfile_set_up_and_start_the_container(clone, home):
     """The commands after USER run on a copy of the checkout as a user with an empty home, the last one with an option
     that ends JupyterLab. The commands before USER prepare a system."""
@@ -125,7 +124,6 @@ def test_the_dev_container_uses_the_dockerfile_and_its_user():
 
 @pytest.mark.slow
 @as_root
-@in_git
 def test_binder_installs_the_lock_and_compiles_the_first_chapter(clone, home):
     run("python3 -m venv $HOME/python", clone, home)
     run("PATH=$HOME/python/bin:$PATH .binder/postBuild", clone, home)

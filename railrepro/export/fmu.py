@@ -163,5 +163,5 @@ class Fmu:
         )
 
 
-def _real(of: Variable) -> str:
-    return f'<Real start="{of.value!r}" min="{of.low!r}" max="{of.high!r}" unit="{of.unit or "-"}"/>'
+def _real(one: Variable) -> str:
+    return f'<Real start="{one.value!r}" min="{one.low!r}" max="{one.high!r}" unit="{one.unit or "-"}"/>'

@@ -103,19 +103,19 @@ def content() -> dict:
 
 def _experiment(scenario: Scenario) -> dict:
     """Values of a scenario and its committed runs, see "figures" in `content`."""
-    found = {key: getattr(scenario, key) for key in ("speed_kmh", "stop_kmh", "set_point")}
+    values = {key: getattr(scenario, key) for key in ("speed_kmh", "stop_kmh", "set_point")}
     stride = 10 if scenario.stop_kmh is None else 50
     force = max((force for _, force in scenario.force_kN), key=abs, default=0.0)
     committed = {}
     for name in SHOWN:
         series = simulate.run(scenario, _guidance(name)).series.iloc[::stride]
-        path = {"y": _packed(series["front.y"].to_numpy()), "p": _packed(series["front.p"].to_numpy().round(1))}
-        committed[name] = path
-    return found | {"end": scenario.end_m, "stride": stride, "force": force, "committed": committed}
+        y, p = series["front.y"].to_numpy(), series["front.p"].to_numpy().round(1)
+        committed[name] = {"y": _packed(y), "p": _packed(p)}
+    return values | {"end": scenario.end_m, "stride": stride, "force": force, "committed": committed}
 
 
-def page(found: dict) -> str:
-    """HTML text of the live page that contains `found`, the dict of `content`.
+def page(embedded: dict) -> str:
+    """HTML text of the live page that contains `embedded`, the dict of `content`.
 
     Its content security policy permits only the embedded scripts and styles, by their hashes, and no network.
     """
@@ -126,13 +126,13 @@ def page(found: dict) -> str:
         text = text.replace(f"'{name}'", f"'sha256-{digest}'").replace(f"/* {name} */", source)
     for name, licence in (("uPlot.LICENSE", data.text(_HERE / "uPlot.LICENSE")), ("FDLIBM", notice)):
         text = text.replace(f"/* {name} */", html.escape(licence, quote=False))
-    return text.replace("/* content */", json.dumps(found).replace("</", "<\\/"))
+    return text.replace("/* content */", json.dumps(embedded).replace("</", "<\\/"))
 
 
 def main() -> None:
     """Write build/live/index.html, and in the same folder car.mjs and content.json, the dict of `content`."""
-    found, folder = content(), paths.BUILD / "live"
-    write(folder / "index.html", page(found))
+    embedded, folder = content(), paths.BUILD / "live"
+    write(folder / "index.html", page(embedded))
     write(folder / "car.mjs", data.text(_HERE / "car.mjs"))
-    write(folder / "content.json", json.dumps(found))
+    write(folder / "content.json", json.dumps(embedded))
     print(f"{folder / 'index.html'}: {(folder / 'index.html').stat().st_size / 1e6:.2f} MB")

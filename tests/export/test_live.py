@@ -64,12 +64,9 @@ def finished(page, seconds=300.0):
 def follow(page, link):
     """Change the link of the open page to a dict or a text, and return the link that the page sets then."""
     text = quote(link if isinstance(link, str) else json.dumps(link))
-    return json.loads(
-        page.evaluated(
-            f"""new Promise((then) => {{addEventListener('hashchange', () => then(), {{once: true}});
-            location.hash = {json.dumps(text)};}}).then(() => decodeURIComponent(location.hash.slice(1)))"""
-        )
-    )
+    script = f"""new Promise((then) => {{addEventListener('hashchange', () => then(), {{once: true}});
+        location.hash = {json.dumps(text)};}}).then(() => decodeURIComponent(location.hash.slice(1)))"""
+    return json.loads(page.evaluated(script))
 
 
 def press(page, button):
@@ -84,12 +81,10 @@ def run_law(page, law):
 
 def give(page, text, value):
     """Type a value into the field of a slider."""
-    page.evaluated(
-        f"""{{const sliders = [...document.querySelectorAll('.slider')];
-        const box = sliders.find(each => each.innerText.includes({json.dumps(text)}));
-        const field = box.querySelector('input[type=number]');
+    script = f"""{{const sliders = [...document.querySelectorAll('.slider')];
+        const field = sliders.find(each => each.innerText.includes({json.dumps(text)})).querySelector('[type=number]');
         field.value = {value}; field.dispatchEvent(new Event('change'));}}"""
-    )
+    page.evaluated(script)
 
 
 def error_mm(name):
@@ -101,9 +96,8 @@ def error_mm(name):
 
 def test_the_committed_values_give_the_committed_run_bit_for_bit(page):
     rows = finished(page)
-    assert set(rows) == {"NMPC", "NDI"}
     assert all("Equal to the committed run." in row[-1] for row in rows.values())
-    assert [rows[name][1] for name in ("NMPC", "NDI")] == [error_mm(name) for name in ("nmpc", "ndi")]
+    assert {name: row[1] for name, row in rows.items()} == {"NMPC": error_mm("nmpc"), "NDI": error_mm("ndi")}
     assert page.errors == []
 
 
