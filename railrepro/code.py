@@ -22,7 +22,7 @@ PACKAGES = ("numpy", "scipy", "casadi", "pandas", "sympy", "matplotlib", "pillow
 """Packages whose version may change a number or a figure."""
 _FOLDER = os.path.dirname(__file__)
 _ABOVE = ("railrepro/evidence/", "railrepro/tuning/", "railrepro/studies/")
-"""Folders of modules that use runs. Results that they compute from runs are keyed by `reached_from` as well."""
+"""Folders of modules that use runs. The key of a result that they compute from runs contains `reached_from`."""
 DRAWING = ("railrepro/figures.py", "railrepro/simulation/plot.py")
 """Modules that draw a run. No number depends on them."""
 _TOKEN = re.compile(  # `++`: a quote that nothing closes would take exponential time

@@ -69,7 +69,7 @@ def handles(axes: Iterable[Axes]) -> dict[str, Artist]:
 
 
 def points(name: str, **options) -> dict:
-    """Keyword arguments of `Axes.plot` for markers without a line in the look `name` of `LOOKS`, and `options`."""
+    """Keyword arguments of `Axes.plot` for markers without a line: look `name` of `LOOKS`, and further `options`."""
     look = LOOKS[name]
     dot = {"color": look.color, "marker": look.marker, "markersize": 7.0 if look.marker == "*" else 4.5}
     return dot | {"linestyle": "", "label": look.label} | options
@@ -127,11 +127,11 @@ def clip(axes: Iterable[Axes], low: float, high: float) -> None:
             axis.annotate(f"down to {values.min():.2g}", (1.0, 0.0), va="bottom", **look)
 
 
-def mark(axes: Sequence[Axes], places: Mapping[float, str]) -> None:
-    """Draw dotted vertical lines at `places` (abscissa -> name) in all `axes`, and write the names in the first."""
+def mark(axes: Sequence[Axes], names: Mapping[float, str]) -> None:
+    """Draw dotted vertical lines at the abscissas in `names` in all `axes`, and write the names in the first."""
     look = {"fontsize": 7, "color": "0.3", "rotation": 90, "va": "bottom", "textcoords": "offset points"}
     look |= {"bbox": {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5}}
-    for x, name in places.items():
+    for x, name in names.items():
         for axis in axes:
             axis.axvline(x, color="0.4", linestyle=":", linewidth=0.7, zorder=0)
         axes[0].annotate(name, (x, 0.0), (2, 3), xycoords=("data", "axes fraction"), **look)
