@@ -1,18 +1,18 @@
-"""Guidance of both running gears as an environment of Gymnasium: every 5 ms the agent sets two differential torques.
+"""Guidance of both running gears as a Gymnasium environment: every 5 ms the agent sets two differential torques.
 
-`pip install gymnasium`, copy this file, and change observation and reward to what you want to learn:
+Install gymnasium, copy this file, and change observation and reward as you like:
 
     env = GuidanceEnv("curve_entry_T3", sensors=True)
     observation, info = env.reset(seed=1)
     observation, reward, terminated, truncated, info = env.step([0.02, -0.01])
 
-Observation, `Box(21,)`, about one in size: ten numbers per gear (front, rear) and the speed over 100 m/s. The ten are
-the lateral error y* - y over 1 mm, the slope of the set point less the yaw angle against the track over 1 mrad, the yaw
-rate against the track over 10 mrad/s, the last torque over its limit, and at the three times `AHEAD` the set point less
-y over 1 mm and the unbalanced lateral acceleration over 1 m/s2.
-Action, `Box(2,)` in [-1, 1]: torque of the front and the rear gear over the torque limit; positive steers to the right.
+Observation, `Box(21,)`, numbers of order one: ten numbers per gear (front, rear) and the speed / (100 m/s). The ten are
+the lateral error y* - y / (1 mm), the slope of the set point minus the yaw angle relative to the track / (1 mrad), the
+yaw rate relative to the track / (10 mrad/s), the last torque / its limit, and at the three times `AHEAD` the set point
+minus y / (1 mm) and the unbalanced lateral acceleration / (1 m/s2).
+Action, `Box(2,)` in [-1, 1]: torque of the front and the rear gear / torque limit; positive steers to the right.
 Reward of a step: -T min(WORST, mean over the gears of (error / 1 mm)^2 + EFFORT (torque / 1 kN m)^2) with T = 5 ms. A
-step that derails costs WORST for all the time that the episode had left, so that no early end pays.
+step that derails costs WORST for the rest of the episode, so that an early end does not pay.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ from railrepro.simulation.scenarios import load_scenario
 from railrepro.vehicle.parameters import load_vehicle
 
 CYCLES, STEP = 5, 0.005
-"""Control cycles of 1 ms in a step, and their time (s)."""
+"""Number of control cycles of 1 ms in a step, and its duration (s)."""
 AHEAD = (0.1, 0.2, 0.4)
 """Times ahead at which track and set point are observed (s)."""
 EFFORT, WORST = 0.1, 100.0
-"""Weight of the torque; largest cost of a second, that of an error of 10 mm."""
+"""Weight of the torque; largest cost per second, which is that of an error of 10 mm."""
 OFFSET = 1e-3
 """Largest lateral displacement at the start (m)."""
 
 
 class GuidanceEnv(gymnasium.Env):
-    """The car in a scenario of data/scenarios.toml; `sensors` adds noise, latency and a state estimate."""
+    """The car in a scenario of data/scenarios.toml. With `sensors` it has noise, latency and state estimation."""
 
     metadata = {"render_modes": []}
 
@@ -51,13 +51,13 @@ class GuidanceEnv(gymnasium.Env):
         self.vehicle, self.sensors, self.loop = load_vehicle(), sensors, None
         self.route = self.scenario.route()
         slower = 5.0 if self.scenario.force_kN else 1.25
-        self.duration = slower * self.route.length / self.scenario.speed  # s, of the longest episode
+        self.duration = slower * self.route.length / self.scenario.speed  # of the longest episode (s)
         size = len(GEARS) * (4 + 2 * len(AHEAD)) + 1
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(GEARS),), np.float32)
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
-        """Begin an episode. The seed draws where the gears stand, and the noise of the sensors."""
+        """Begin an episode. The initial positions of the gears and the noise of the sensors follow from the seed."""
         super().reset(seed=seed)
         noisy = readings(seed=int(self.np_random.integers(2**31))) if self.sensors else None
         cars = self.vehicle, self.vehicle
@@ -70,7 +70,7 @@ class GuidanceEnv(gymnasium.Env):
         return self._observation(), self._info()
 
     def step(self, action):
-        """Hold two torques for 5 ms."""
+        """Apply two torques for 5 ms."""
         loop, torque = self.loop, np.asarray(action, dtype=float)
         if loop is None or self._over():
             raise InputError("reset() is needed before a step")
@@ -91,7 +91,7 @@ class GuidanceEnv(gymnasium.Env):
         return bool(self.loop.ended or self.duration - self.time < STEP / 2)
 
     def _states(self) -> np.ndarray:
-        """Measured states of both gears, shape (2, 6), SI: the true ones; with sensors estimates, but at the start."""
+        """States of both gears, shape (2, 6), SI. With sensors they are estimates, except at the start."""
         loop = self.loop
         if self.sensors and self.time:
             known = dict(zip(loop.control.signature.memory, loop.memory, strict=True))
@@ -100,7 +100,7 @@ class GuidanceEnv(gymnasium.Env):
         return np.array([[known[f"{gear}.{name}"] for name in names(GearStates)] for gear in GEARS])
 
     def _info(self) -> dict:
-        """Lateral error (m) and torque (N m) of both gears, arc length (m), speed (m/s) and time (s)."""
+        """Lateral error (m) and torque (N m) of both gears, position on the track (m), speed (m/s) and time (s)."""
         x, torque = self._states(), self.loop.held.copy()
         error = np.array([self.route.reference_at(gear[X])[0].item() - gear[Y] for gear in x])
         return {"error": error, "torque": torque, "p": x[0, X], "v": x[0, XDOT], "time": self.time}
@@ -110,13 +110,13 @@ class GuidanceEnv(gymnasium.Env):
         gears = [self._of_gear(*pair) for pair in zip(x, self.loop.held / limit, strict=True)]
         return np.append(gears, x[0, XDOT] / 100).astype(np.float32)
 
-    def _of_gear(self, x, share: float) -> np.ndarray:
-        """The ten numbers of a gear with measured state x (SI) and its last torque over the limit."""
+    def _of_gear(self, x, utilisation: float) -> np.ndarray:
+        """The ten numbers of a gear with state x (SI) and its last torque / torque limit."""
         ends = self.route.start, self.route.start + self.route.length
         places = np.clip(np.nan_to_num(x[X] + x[XDOT] * np.array([0.0, *AHEAD])), *ends)
         y_ref, slope, _ = self.route.reference_at(places)
         _, curvature, cant, *_ = self.route.track_at(places)
-        aside = 1e3 * (y_ref - x[Y])
+        error = 1e3 * (y_ref - x[Y])
         yaw, turning = slope[0] - x[PSI_TRAX], x[PSIDOT_AX] - x[XDOT] * curvature[0]
         unbalanced = self.vehicle.gravity * cant[1:] - x[XDOT] ** 2 * curvature[1:]
-        return np.array([aside[0], 1e3 * yaw, 1e2 * turning, share, *aside[1:], *unbalanced])
+        return np.array([error[0], 1e3 * yaw, 1e2 * turning, utilisation, *error[1:], *unbalanced])

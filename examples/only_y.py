@@ -1,7 +1,8 @@
-"""The smallest entry: one class with one method, which reads nothing but position and set point.
+"""The smallest controller: one class with one method, which uses only position and set point.
 
-Error, its integral and two filtered derivatives. `q` has the quantities that `railrepro/control/lateral.py`
-lists, and the law's own memory, which starts at 0 and is returned anew each millisecond.
+It feeds back the error, its integral and two filtered derivatives. `q` has the quantities that
+`railrepro/control/lateral.py` lists and the memory of the law, which starts at 0. Each millisecond the law returns the
+differential torque and the next memory.
 """
 
 

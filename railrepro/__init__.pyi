@@ -1,4 +1,4 @@
-# The names of `railrepro` for editors and type checkers; tests compare it with FACADE.
+# The names of `railrepro`: editors and type checkers read them here, __init__.py takes FACADE from the imports.
 from railrepro.car.component import SteppedCar as SteppedCar
 from railrepro.control.mpc import LTVMPC as LTVMPC
 from railrepro.control.mpc import NMPC as NMPC

@@ -1,10 +1,10 @@
-"""The command line: `python -m railrepro COMMAND …`; make calls it."""
+"""The command line, `python -m railrepro COMMAND …`, which make calls."""
 
 import signal
 import sys
 
 if __name__ == "__main__" and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-    # A command imports for seconds: Ctrl-C ends it without a traceback until `report_errors` takes over.
+    # The imports of a command take seconds. Until `report_errors` handles Ctrl-C, it ends without a traceback.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 from railrepro.evidence.commands import main  # noqa: E402

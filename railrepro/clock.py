@@ -1,4 +1,4 @@
-"""The clock that car and controllers share."""
+"""The clock of car and controllers."""
 
 CONTROL_PERIOD = 1e-3
-"""Period of the control cycle at which plant and controllers are coupled (s); paper, section Simulation Environment."""
+"""Period at which car and controllers are coupled (s). Source: section Simulation Environment of the paper."""

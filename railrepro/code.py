@@ -1,8 +1,8 @@
-"""The code that this process runs: one version of the library, the content of each module, and what they compute with.
+"""Hashes of the code that this process runs, for the keys of caches.
 
-Files may be edited while a process imports them. So they are read when the package is imported, and checked again
-before a cache is read or written. The content of a module is its text without comments, docstrings and empty lines; one
-pattern cuts it out, so that all versions of Python agree on it.
+Files may be edited while a process imports them. They are therefore read when the package is imported, and checked
+again before a cache is read or written. The content of a module is its text without comments, docstrings and empty
+lines. A regular expression extracts it, so that all versions of Python give the same hash.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from functools import cache
 from pathlib import Path
 
 PACKAGES = ("numpy", "scipy", "casadi", "pandas", "sympy", "matplotlib", "pillow")
-"""Packages whose version may change a number or a figure; others only check, start or show the computations."""
+"""Packages whose version may change a number or a figure."""
 _FOLDER = os.path.dirname(__file__)
 _ABOVE = ("railrepro/evidence/", "railrepro/tuning/", "railrepro/studies/")
-"""Folders of modules that ask for runs. What they compute from a run is known by the code that it can reach."""
+"""Folders of modules that use runs. The key of a result that they compute from runs contains `reached_from`."""
 DRAWING = ("railrepro/figures.py", "railrepro/simulation/plot.py")
-"""Modules that draw a run, which no number depends on."""
-_TOKEN = re.compile(  # `++`, for a quote that nothing closes would take exponential time
+"""Modules that draw a run. No number depends on them."""
+_TOKEN = re.compile(  # `++`: a quote that nothing closes would take exponential time
     r"""(?P<start>(?<!\\\n)^[ \t]*[rR]?)?(?P<quote>"{3}|'{3}|"|')(?:[^\\"']++|\\.|(?!(?P=quote))["'])*+(?P=quote)"""
     r"(?P<end>(?=[ \t]*(?:$|\#)))?|(?P<comment>\#[^\n]*)|(?P<open>[(\[{])|(?P<close>[)\]}])",
     re.DOTALL | re.MULTILINE,
@@ -34,11 +34,11 @@ _EMPTY = re.compile(r"[ \t]*\n(?:[ \t]*\n)*")
 _FROM = re.compile(r"^[ \t]*from[ \t]+(railrepro[\w.]*)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)", re.MULTILINE)
 _IMPORT = re.compile(r"^[ \t]*import[ \t][^\n]*\brailrepro\b", re.MULTILINE)
 _DOTTED = re.compile(r"\brailrepro(?:\.\w+)+")
-"""A module in an import, or in a text that `pkgutil.resolve_name` imports when it is used."""
+"""Dotted name of a module, in an import or in a text that `pkgutil.resolve_name` takes."""
 
 
 def signature(file: str | os.PathLike) -> tuple[int, int] | None:
-    """Size of a file and time of its last change (ns); None when there is no such file."""
+    """Return the size of a file (bytes) and the time of its last change (ns), or None if there is no such file."""
     with suppress(OSError, ValueError):
         status = os.stat(file)
         return status.st_size, status.st_mtime_ns
@@ -51,27 +51,27 @@ _FILES = {
     for name in names
     if name.endswith((".py", ".c", ".h"))
 }
-"""Sources by their names from the package on."""
+"""Name of a source file, such as "railrepro/clock.py" -> its path."""
 _SIGNATURES = {file: signature(file) for file in _FILES.values()}
 _BYTES = {name: Path(file).read_bytes() for name, file in sorted(_FILES.items())}
-_edited, _looked = False, -math.inf
+_edited, _checked = False, -math.inf
 
 
 def unchanged(within: float = 0.0) -> bool:
     """Whether no source file has changed in size or time since this process imported the package.
 
-    The first change prints a message to stderr. Once False the result stays False, even if the file is put back,
-    because a module may have been imported in between. A check counts for the next `within` seconds.
+    The first change prints a message to stderr. The result then stays False even if the file is restored, because a
+    module may have been imported in between. The files are not checked again within `within` seconds.
     """
-    global _edited, _looked
-    if _edited or time.monotonic() - _looked < within:
+    global _edited, _checked
+    if _edited or time.monotonic() - _checked < within:
         return not _edited
-    _looked = time.monotonic()
+    _checked = time.monotonic()
     if any(signature(file) != before for file, before in _SIGNATURES.items()):
         _edited = True
         print(
-            "railrepro was edited after this process imported it: nothing is read from its caches or stored there; "
-            "restart (in Jupyter the kernel) to run the edited code",
+            "railrepro was edited after this process imported it: caches are not used; "
+            "restart the process (in Jupyter the kernel) to run the edited code",
             file=sys.stderr,
             flush=True,
         )
@@ -79,8 +79,8 @@ def unchanged(within: float = 0.0) -> bool:
 
 
 def content(text: str) -> str:
-    """Python source `text` without comments, docstrings, empty lines and trailing blanks. A docstring is any string
-    that stands as a statement. Other strings stay as they are."""
+    """Remove comments, docstrings, empty lines and trailing blanks from Python source. A docstring is here any string
+    that is a statement. Other strings stay as they are."""
     text = text.replace("\r\n", "\n")
     parts, code, depth, end = [], "", 0, 0
     for match in _TOKEN.finditer(text):
@@ -98,24 +98,24 @@ def content(text: str) -> str:
 
 
 def _imported(content: str) -> set[str]:
-    """Sources that Python source `content` imports or names, with those of the packages that they are in."""
+    """Return the source files of all modules that Python source imports or names, and of the packages around them."""
     from railrepro import FACADE  # the package imports this module first
 
     joined = content.replace("\\\n", " ")
-    found = set(_DOTTED.findall(joined))
-    for module, names in _FROM.findall(joined):
-        found |= {f"{module}.{name}" for name in re.findall(r"(?:^|[(,])\s*(\w+|\*)", names)}
-    if _IMPORT.search(joined) or "railrepro.*" in found:  # any name of the facade may follow
-        found |= {f"railrepro.{name}" for name in FACADE}
-    found |= {home for name, home in FACADE.items() if f"railrepro.{name}" in found}
-    parts = [name.split(".") for name in found]  # where the last part is no module, it is a name within one
+    modules = set(_DOTTED.findall(joined))
+    for package, names in _FROM.findall(joined):
+        modules |= {f"{package}.{name}" for name in re.findall(r"(?:^|[(,])\s*(\w+|\*)", names)}
+    if _IMPORT.search(joined) or "railrepro.*" in modules:  # any name of the facade may follow
+        modules |= {f"railrepro.{name}" for name in FACADE}
+    modules |= {home for name, home in FACADE.items() if f"railrepro.{name}" in modules}
+    parts = [name.split(".") for name in modules]  # where the last part is no module, it is a name within one
     bases = {"/".join(part[:n]) for part in parts for n in range(1, len(part) + 1)}
     return {file for base in bases for file in (f"{base}.py", f"{base}/__init__.py") if file in _BYTES}
 
 
 @cache
 def _text(name: str) -> str:
-    """Content of a module, as this process imported it."""
+    """Content of a module as this process imported it."""
     return content(_BYTES[name].decode())
 
 
@@ -126,7 +126,7 @@ def _source_hash(name: str) -> str:
 
 @cache
 def _next(name: str) -> frozenset[str]:
-    """Modules that a module imports or names, and the C sources beside it; the facade is followed where it is used."""
+    """Return the source files that a module imports or names, and C sources in its folder; none for the facade."""
     if not name.endswith(".py") or name == "railrepro/__init__.py":
         return frozenset()
     folder = name.rpartition("/")[0]
@@ -135,46 +135,43 @@ def _next(name: str) -> frozenset[str]:
 
 
 def reached(*texts: str) -> dict[str, str]:
-    """Dict from file of this package, such as "railrepro/clock.py", to the SHA-256 of its content. It holds all files
-    that the Python sources `texts` import, directly or through other modules."""
-    found: dict[str, str] = {}
+    """Return all files of this package that the Python sources `texts` import, directly or through other modules, as a
+    dict: name, such as "railrepro/clock.py" -> SHA-256 of its content."""
+    hashes: dict[str, str] = {}
     pending = [file for text in texts for file in _imported(content(text))]
     while pending:
         file = pending.pop()
-        if file not in found:
-            found[file] = _source_hash(file)
+        if file not in hashes:
+            hashes[file] = _source_hash(file)
             pending += _next(file)
-    return dict(sorted(found.items()))
+    return dict(sorted(hashes.items()))
 
 
 @cache
 def reached_from(module: str) -> str:
-    """SHA-256 over all files of this package that a module can reach, without those in `DRAWING`, as imported."""
-    found = reached(f"from {module} import {module}").items()
-    return _joined(file_hash for file_hash in found if file_hash[0] not in DRAWING)
+    """SHA-256 of all files that the module `module` of this package reaches, see `reached`, except `DRAWING`."""
+    return _joined(reached(f"from {module} import {module}"))
 
 
-def _joined(hashes: Iterable[tuple[str, str]]) -> str:
-    """SHA-256 over names of files and their hashes."""
-    return hashlib.sha256("\n".join(map(" ".join, hashes)).encode()).hexdigest()
+def _joined(names: Iterable[str]) -> str:
+    """SHA-256 of the names and hashes of source files, except `DRAWING`."""
+    lines = [f"{name} {_source_hash(name)}" for name in names if name not in DRAWING]
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
 @cache
 def version() -> str:
-    """SHA-256 over the sources of this package by which a run is computed; the same on all machines. It is the state
-    at import. Before using it as the key of a cache, check `unchanged`."""
-    names = [name for name in _BYTES if not name.startswith(_ABOVE) and name not in DRAWING]
-    return _joined((name, _source_hash(name)) for name in names)
+    """SHA-256 of all sources that compute a run, as imported. Check `unchanged` before it is the key of a cache."""
+    return _joined(name for name in _BYTES if not name.startswith(_ABOVE))
 
 
 @cache
 def packages() -> dict[str, str]:
-    """Dict from the names in `PACKAGES` to the installed version; "" for a package that is not installed."""
-    from importlib.metadata import PackageNotFoundError
-    from importlib.metadata import version as installed
+    """Dict: name in `PACKAGES` -> installed version, "" for a package that is not installed."""
+    from importlib import metadata  # takes long to import
 
-    found = dict.fromkeys(PACKAGES, "")
+    versions = dict.fromkeys(PACKAGES, "")
     for name in PACKAGES:
-        with suppress(PackageNotFoundError):
-            found[name] = installed(name)
-    return found
+        with suppress(metadata.PackageNotFoundError):
+            versions[name] = metadata.version(name)
+    return versions

@@ -1,9 +1,8 @@
-"""Data in and out: TOML and JSON to checked, frozen dataclasses, and files that are written whole or not at all.
+"""Reading and writing: TOML and JSON become checked, frozen dataclasses; a file is written completely or not at all.
 
-A class marked with `table` states keys, types and defaults once; `above` and `between` add unit and range to a
-number, `__post_init__` what holds between keys. pydantic checks, for the content of a file and for the arguments of the
-constructor alike. Wrong input of any kind is an `InputError`: one sentence with file or class, key, what was found and
-what is needed.
+A class marked with `table` states keys, types and defaults; `above` and `between` give a number its unit and range, and
+`__post_init__` checks relations between keys. pydantic checks the content of a file and the arguments of the
+constructor in the same way. Every fault is an `InputError`.
 """
 
 from __future__ import annotations
@@ -35,38 +34,34 @@ from pydantic_core import core_schema
 
 Number = int | float
 LARGEST_FILE = 100_000_000
-"""Largest file that is read (bytes); a tabulated track of 100 km has a third of it."""
+"""Size of the largest file that is read (bytes). The table of a track of 100 km has a third of it."""
 
 
 class InputError(ValueError):
-    """Input that is refused. The message is one line with file, row or key, what was found and what is needed."""
+    """Invalid input. The message is one line: file or class, row or key, what was found and what is needed."""
 
     def __init__(self, message: str):
         super().__init__(" ".join(message.splitlines()))
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is a finite real number; a bool is not."""
+    """Whether a value is a finite real number. A bool is not a number."""
     real = isinstance(value, numbers.Real) and not isinstance(value, bool)
     return real and abs(value) <= sys.float_info.max
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """Unit and permitted range of a number, to annotate a field of type `float`, `int` or `Number`.
-
-    Attributes:
-        low, high (float): Bounds in `unit`; `high` itself is permitted.
-        unit (str): Such as "m/s"; "" for none.
-        closed (bool): Whether `low` itself is permitted.
-        signed (bool): Whether the bounds apply to the magnitude, so that either sign is permitted.
-    """
+    """Unit and permitted range of a number: the annotation of a field of type `float`, `int` or `Number`."""
 
     low: float
     high: float
+    """Upper bound, which is permitted itself."""
     unit: str
     closed: bool = False
+    """Whether `low` itself is permitted."""
     signed: bool = False
+    """Whether the bounds apply to the magnitude, so that either sign is permitted."""
 
     def __get_pydantic_core_schema__(self, source, handler):
         def checked(value):
@@ -76,7 +71,7 @@ class Quantity:
         return core_schema.no_info_plain_validator_function(checked)
 
     def check(self, value: Any, whole: bool = False) -> None:
-        """Raise ValueError unless `value` is a number in the range; with `whole` it has to be an integer."""
+        """Raise ValueError unless `value` is a number in the range. With `whole` it must be an integer."""
         kind = (int, numbers.Integral) if whole else (float, int, numbers.Real)
         if isinstance(value, kind) and not isinstance(value, bool):
             size: Any = abs(value) if self.signed else value
@@ -86,7 +81,7 @@ class Quantity:
         raise ValueError(f"is {reprlib.repr(value)}, {self.described(whole)} is needed")
 
     def described(self, whole: bool = False) -> str:
-        """Such as "a number above 0 up to 2 m", for messages; `whole` as in `check`."""
+        """Describe the range for a message, such as "a number above 0 up to 2 m"."""
         number = f"a{' whole' * whole} number{' of either sign' * self.signed}"
         bounds = f"{'from' if self.closed else 'above'} {self.low:g}"
         bounds += f" up to {self.high:g}" if math.isfinite(self.high) else ""
@@ -94,23 +89,19 @@ class Quantity:
 
 
 def above(low: float, high: float, unit: str = "", signed: bool = False) -> Quantity:
-    """`Quantity` of numbers x with low < x <= high in `unit`; with `signed` low < |x| <= high."""
+    """`Quantity` with low < x <= high, or low < |x| <= high with `signed`."""
     return Quantity(low, high, unit, signed=signed)
 
 
 def between(low: float, high: float, unit: str = "") -> Quantity:
-    """`Quantity` of numbers x with low <= x <= high in `unit`."""
+    """`Quantity` with low <= x <= high."""
     return Quantity(low, high, unit, closed=True)
 
 
 def require(what: str, value, allowed: Quantity | type, whole: bool = False) -> None:
-    """Raise InputError unless an argument is valid.
+    """Raise InputError unless `value` is in the range `allowed`, or an instance of the class `allowed`.
 
-    Args:
-        what (str): Name of the argument in the message.
-        value: The argument.
-        allowed (Quantity or type): Range that it has to lie in, or class that it has to be an instance of.
-        whole (bool): Whether the number has to be an integer; only with a range.
+    `what` names the value in the message. With `whole` a number must be an integer.
     """
     if isinstance(allowed, Quantity):
         try:
@@ -122,8 +113,7 @@ def require(what: str, value, allowed: Quantity | type, whole: bool = False) -> 
 
 
 def check_fields(settings: Any) -> None:
-    """Raise InputError if a field of a dataclass instance is invalid: a number outside its annotated `Quantity`, or a
-    value of another type in a field of type bool or str."""
+    """Raise InputError unless each field of a dataclass instance fits its annotation: a `Quantity`, bool or str."""
     kind: Any = type(settings)
     for name, hint in _hints(kind, include_extras=True).items():
         base, *notes = typing.get_args(hint) if typing.get_origin(hint) is Annotated else (hint, hint)
@@ -133,7 +123,7 @@ def check_fields(settings: Any) -> None:
 
 
 Plain = Annotated[Number, between(-1e12, 1e12)]
-"""Annotation of a number without unit, within +-1e12."""
+"""Annotation of a number without unit and of magnitude up to 1e12."""
 NOT_EMPTY = pydantic.Field(min_length=1)
 """Annotation of a list or table with at least one entry."""
 AS_GIVEN = pydantic.WrapValidator(lambda value, validate: (validate(value), value)[1])
@@ -149,7 +139,7 @@ def _finite(value):
 
 
 def matching(pattern: str, needed: str) -> Any:
-    """Annotation of a text that matches a regular expression as a whole; `needed` describes it in the message."""
+    """Annotation of a text that matches a regular expression completely. `needed` describes it in the message."""
 
     def checked(text: str) -> str:
         if not re.fullmatch(pattern, text):
@@ -162,7 +152,7 @@ def matching(pattern: str, needed: str) -> Any:
 Name = Annotated[str, matching(r"\w[\w .,+-]*", "a name of letters, digits, spaces and _ . , + -")]
 """Annotation of a name that may become part of a file name."""
 Free = Annotated[Any, pydantic.AfterValidator(_finite)]
-"""Annotation of any value that contains neither nan nor infinity."""
+"""Annotation of a value of any type that contains neither NaN nor infinity."""
 
 
 def _increasing(points):
@@ -177,7 +167,7 @@ INCREASING = pydantic.AfterValidator(_increasing)
 
 
 def _known_keys(cls: type, value):
-    """Refuse an unknown key with a list of the known ones, before pydantic looks at the values."""
+    """Refuse an unknown key before pydantic checks the values; the message lists the known keys."""
     known: Any = cls.__dataclass_fields__  # type: ignore[attr-defined]
     unknown = value.keys() - known.keys() if isinstance(value, dict) else ()
     if unknown:
@@ -187,9 +177,8 @@ def _known_keys(cls: type, value):
 
 @typing.dataclass_transform(frozen_default=True, field_specifiers=(field,))
 def table(cls: type) -> type:
-    """Class decorator: makes a frozen dataclass whose constructor checks and converts its arguments as `build` does
-    with the table of a file, also when `dataclasses.replace` calls it. It raises InputError, which names class and
-    field, for a wrong value and for an unknown or missing field."""
+    """Class decorator: make a frozen dataclass whose constructor checks and converts its arguments as `build` does with
+    the table of a file. InputError names class and field if a value is wrong or a field is unknown or missing."""
     cls._known_keys = pydantic.model_validator(mode="before")(classmethod(_known_keys))  # type: ignore
     made: Any = dataclass(frozen=True)(cls)
     names = [one.name for one in fields(made)]
@@ -206,7 +195,7 @@ def table(cls: type) -> type:
 
 
 def location(path: Path | str | None, default: Path | None = None) -> Path:
-    """`path` as a `Path`; where it is None, `default`. InputError for what is no path."""
+    """Return `path`, or `default` if it is None, as a `Path`. InputError if it is not a path."""
     chosen = default if path is None else path
     if not isinstance(chosen, str | os.PathLike) or not str(chosen) or "\0" in str(chosen):
         raise InputError(f"the path of a file is {reprlib.repr(chosen)}, a text or a Path is needed")
@@ -214,14 +203,13 @@ def location(path: Path | str | None, default: Path | None = None) -> Path:
 
 
 def text(path: Path) -> str:
-    """Text of a regular file in UTF-8. InputError when there is none, it is larger than `LARGEST_FILE`, or it cannot be
-    read; pipes and devices are not opened."""
+    """Read a regular file in UTF-8. InputError if it is missing, not readable, or larger than `LARGEST_FILE`."""
     try:
-        found = path.stat()
-        if not stat.S_ISREG(found.st_mode):
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
             raise InputError(f"{path}: is a folder, a pipe or a device, a regular file is needed")
-        if found.st_size > LARGEST_FILE:
-            raise InputError(f"{path}: has {found.st_size / 1e6:.0f} MB, at most {LARGEST_FILE / 1e6:.0f} MB are read")
+        if status.st_size > LARGEST_FILE:
+            raise InputError(f"{path}: has {status.st_size / 1e6:.0f} MB, at most {LARGEST_FILE / 1e6:.0f} MB are read")
         return path.read_text(encoding="utf-8")
     except FileNotFoundError as error:
         raise InputError(f"there is no file {path}") from error
@@ -232,8 +220,7 @@ def text(path: Path) -> str:
 
 
 def read(path: Path) -> Any:
-    """Content of a TOML or JSON file as dicts and lists; the suffixes .json and .ipynb mean JSON. Raises InputError
-    when it cannot be read (see `text`) or is empty."""
+    """Read a TOML file, or a JSON file (.json, .ipynb), as dicts and lists. InputError if it is invalid or empty."""
     kind, content = "JSON" if path.suffix in (".json", ".ipynb") else "TOML", text(path)
     try:
         content = json.loads(_parsed(content, kind))
@@ -246,18 +233,18 @@ def read(path: Path) -> Any:
 
 @functools.lru_cache(maxsize=32)
 def _parsed(content: str, kind: str) -> str:
-    """Content of a file as JSON: its reader may change what it gets, and every run reads the same few files."""
+    """Convert the content of a file to JSON. JSON is cached, as every run reads the same files and may change dicts."""
     return json.dumps(json.loads(content, object_pairs_hook=_unique) if kind == "JSON" else tomllib.loads(content))
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Dict of the pairs of a JSON object; JSON itself permits a key twice, of which the last would count."""
-    found: dict[str, Any] = {}
+    """Make a dict of a JSON object and refuse a key that occurs twice, which Python's parser permits."""
+    result: dict[str, Any] = {}
     for key, value in pairs:
-        if key in found:
+        if key in result:
             raise ValueError(f"the key {key!r} occurs twice")
-        found[key] = value
-    return found
+        result[key] = value
+    return result
 
 
 _adapter = functools.cache(pydantic.TypeAdapter)
@@ -265,29 +252,26 @@ _hints = functools.cache(typing.get_type_hints)
 
 
 def build(kind: type, content: Any, where: str, instance: Any = None) -> Any:
-    """Check the content of a file and convert it to instances of a class. InputError names the first fault.
+    """Check dicts and lists as from `read` and convert them to instances of a class. InputError names the first fault.
 
-    Args:
-        kind (type): Class marked with `table`; `dict[str, that class]` for a file of named tables, which gives a dict.
-        content (Any): Dicts and lists as from `read`.
-        where (str): Name of the file in the message.
-        instance (optional): Object of the class `kind` that takes the values, when a constructor calls. Validators see
-            as `context` of pydantic whether the content is that of a file.
+    `kind` is a class marked with `table`, or `dict[str, that class]` for named tables; `where` names the file in the
+    message. `instance` is for constructors: the new object, which takes the values. Validators see in the `context` of
+    pydantic whether it is None, so that the content is that of a file.
     """
     try:
         return _adapter(kind).validator.validate_python(content, self_instance=instance, context=instance is None)
     except pydantic.ValidationError as error:
         finding = error.errors(include_url=False)[0]
     missing = finding["type"] == "missing"
-    place = ".".join(_keys(content, finding["loc"], missing))
-    own = "is missing" if missing else finding.get("ctx", {}).get("error")
-    fault = own or f"{finding['msg']}, found {reprlib.repr(finding['input'])}"
-    raise InputError(f"{where}: {place}{'' if own or not place else ':'} {fault}".replace(":  ", ": "))
+    key = ".".join(_keys(content, finding["loc"], missing))
+    ours = "is missing" if missing else finding.get("ctx", {}).get("error")  # has a verb, unlike those of pydantic
+    fault = ours or f"{finding['msg']}, found {reprlib.repr(finding['input'])}"
+    raise InputError(f"{where}: {key}{'' if ours or not key else ':'} {fault}".replace(":  ", ": "))
 
 
 def _keys(content: Any, location: tuple, missing: bool) -> Iterator[str]:
-    """Keys on the way to a fault: names, or numbers from 1 on for list entries without name; classes of a union are
-    left out."""
+    """Yield the keys that lead to a fault: names, or numbers from 1 on for list entries without name. pydantic adds the
+    classes of a union, which are left out."""
     for step in location:
         try:
             content = content[step]
@@ -300,24 +284,22 @@ def _keys(content: Any, location: tuple, missing: bool) -> Iterator[str]:
 
 
 def write(path: Path, content: str | bytes) -> None:
-    """Write text (UTF-8) or bytes to a file completely or not at all. Missing folders are made. Raises InputError when
-    it cannot be written; an existing file is then unchanged."""
-    scratch = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.part")
+    """Write text (UTF-8) or bytes, and make missing folders. InputError if it fails: an old file is then unchanged."""
+    part = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            scratch.write_bytes(content.encode() if isinstance(content, str) else content)
-            os.replace(scratch, path)
+            part.write_bytes(content.encode() if isinstance(content, str) else content)
+            os.replace(part, path)
         finally:
-            scratch.unlink(missing_ok=True)
+            part.unlink(missing_ok=True)
     except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error}); what was there is intact") from error
+        raise InputError(f"{path}: cannot be written ({error.strerror or error}); an old file is unchanged") from error
 
 
 @contextmanager
 def alone(lock: Path) -> Iterator[None]:
-    """Context manager that holds an exclusive lock on the file `lock`, after waiting for it. The lock ends with the
-    context or with the process."""
+    """Context manager: wait for an exclusive lock on the file `lock` and hold it. It also ends with the process."""
     with open(lock, "a", encoding="utf-8") as guard:
         fcntl.flock(guard, fcntl.LOCK_EX)
         yield
@@ -325,8 +307,7 @@ def alone(lock: Path) -> Iterator[None]:
 
 @contextmanager
 def scratch() -> Iterator[Path]:
-    """Context manager that makes a temporary folder and removes it at the end. Folders that killed processes left are
-    removed, too: their locks ended with the processes."""
+    """Context manager: make a temporary folder and remove it at the end. Those of killed processes are removed too."""
     for left in Path(tempfile.gettempdir()).glob("railrepro-scratch-*"):
         with suppress(OSError), _locked(left):
             shutil.rmtree(left, ignore_errors=True)
@@ -342,7 +323,7 @@ def scratch() -> Iterator[Path]:
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    """Hold the lock of a folder. OSError if another process holds it or it is no folder."""
+    """Hold an exclusive lock on a folder. OSError if another process holds it or `folder` is not a folder."""
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

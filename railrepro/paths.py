@@ -1,9 +1,9 @@
-"""Where files are, products also in another folder; and which of them a notebook reads, noted for the chain.
+"""Paths of inputs and products, and the record of files that a notebook reads.
 
-The checkout is the folder above this package, or `RAILREPRO_ROOT`. An installed package has none: it carries a copy of
-the inputs, and what it writes goes to the working folder. With `RAILREPRO_OUTPUT` set, `product` writes below that
-folder and `source` prefers a file there, so that tests and staging touch no committed products. A notebook that is run
-by hand, as in JupyterLab, writes into build/tried/NAME: only the chain, which runs notebooks whole, renews products.
+The checkout is the folder above this package, or `RAILREPRO_ROOT`. An installed package has no checkout: it contains a
+copy of the inputs and writes to the working folder. If `RAILREPRO_OUTPUT` is set, `product` writes below that folder
+and `source` prefers files there. A notebook in JupyterLab writes below build/tried/NAME, as only the chain, which runs
+notebooks completely, renews the products in the checkout.
 """
 
 from __future__ import annotations
@@ -18,37 +18,34 @@ from typing import TypeVar
 _PACKAGE = Path(__file__).resolve().parent
 _GIVEN = os.environ.get("RAILREPRO_ROOT")
 INSTALLED = not _GIVEN and (_PACKAGE / "data").is_dir()
-"""Whether the package is installed with its copy of the inputs, so that there is no checkout."""
+"""Whether the package is installed with a copy of the inputs, without a checkout."""
 ROOT = Path.cwd() if INSTALLED else Path(_GIVEN or _PACKAGE.parent)
-"""Folder of the checkout, or the working folder where there is none."""
+"""Folder of the checkout, or the working folder if there is none."""
 DATA, FIGURES, NOTEBOOKS, BUILD = (ROOT / name for name in ("data", "figures", "notebooks", "build"))
 READS = "RAILREPRO_READS"
-"""Environment variable with the path of a log. This process and its children append to it the names of files they
-read."""
+"""Environment variable with the path of a log, to which this process and its children append the files they read."""
 ALL = "*"
-"""Entry in the log of `READS` that stands for all entries of a file."""
+"""Mark in the log of `READS` for all entries of a file."""
 _noted: set[tuple[str, str, str]] = set()
 Value = TypeVar("Value")
 
 
 def product(relative: str) -> Path:
-    """Path to write the product `relative` to, such as "data/results/f.csv". Missing folders are made. It is in the
-    checkout, or in the folder that products are redirected to (see the head of this module)."""
+    """Return the path to which a product, such as "data/results/f.csv", is written, and make missing folders."""
     path = (_redirected() or ROOT) / relative
     path.parent.mkdir(parents=True, exist_ok=True)
     return path
 
 
 def source(relative: str) -> Path:
-    """Path to read an input or a product from; `relative` is its path in the checkout, such as "data/vehicle.toml". The
-    first place that has it counts: redirected products, the copy in an installed package, the checkout."""
-    redirected = _redirected()
-    places = [*([redirected] if redirected else []), *([_PACKAGE] if INSTALLED else [])]
-    return next((place / relative for place in places if (place / relative).exists()), ROOT / relative)
+    """Return the path from which an input or a product, such as "data/vehicle.toml", is read. The first folder that has
+    it counts: the one to which products are redirected, the installed package, the checkout."""
+    folders = [folder for folder in (_redirected(), _PACKAGE if INSTALLED else None) if folder]
+    return next((folder / relative for folder in folders if (folder / relative).exists()), ROOT / relative)
 
 
 def _redirected() -> Path | None:
-    """Folder that takes the products in place of the checkout."""
+    """Return the folder to which products are redirected, None for the checkout."""
     given = os.environ.get("RAILREPRO_OUTPUT")
     if given:
         return Path(given)
@@ -68,7 +65,7 @@ def _note(file: str, entry: str) -> None:
 
 
 def _opened(event: str, arguments: tuple) -> None:
-    """Note each file below data/ and figures/ that this process opens to read it; an audit hook."""
+    """Audit hook: note each file below data/ and figures/ that this process opens for reading."""
     if event != "open" or not isinstance(arguments[0], str | os.PathLike):
         return
     _, mode, flags = arguments
@@ -86,10 +83,9 @@ if os.environ.get(READS):
 
 
 class Entries(UserDict[str, Value]):
-    """Dict of the entries of a data file by name, which notes look-ups in the log file that `READS` names.
+    """Dict of the entries of the data file `file`, such as "data/scenarios.toml", by name.
 
-    A look-up appends the line "file<tab>name", an iteration the line "file<tab>*". `file` is the name of the data file,
-    such as "data/scenarios.toml".
+    A look-up appends the line "file<tab>name" to the log of `READS`, an iteration the line "file<tab>*".
     """
 
     def __init__(self, entries: dict[str, Value], file: str):

@@ -1,8 +1,8 @@
-"""Named quantities: a frozen dataclass states names, order and units of its entries; vectors and columns follow.
+"""Dataclasses of quantities: names, order and units of the entries of a vector are stated once.
 
 A field is a number, `Annotated[Scalar, unit]` or `Annotated[Scalar, unit, meaning]`; a list with one element for each
-label, `Annotated[list[Scalar], labels]`; or a further such dataclass. The name of an entry is the path to it: `front.y`
-is `y` of the field `front`, `tau.front_le` is the element `front_le` of the list `tau`.
+label, `Annotated[list[Scalar], labels]`; or another such dataclass. The name of an entry is the path to it: "front.y"
+is `y` of the field `front`, "tau.front_le" is the element `front_le` of the list `tau`.
 """
 
 from __future__ import annotations
@@ -10,15 +10,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import fields, is_dataclass, make_dataclass
 from functools import cache
-from itertools import product
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import casadi as ca
 
 GEARS = ("front", "rear")
 SIDES = ("le", "ri")
-GEAR_AND_SIDE = dict(zip(("front_le", "front_ri", "rear_le", "rear_ri"), product(GEARS, SIDES), strict=True))
-"""Name of a wheel -> (running gear, side): "front_le" -> ("front", "le"); le is left, ri right."""
+GEAR_AND_SIDE = {f"{gear}_{side}": (gear, side) for gear in GEARS for side in SIDES}
+"""Name of a wheel -> (running gear, side). "le" is left, "ri" is right."""
 WHEELS = tuple(GEAR_AND_SIDE)
 Scalar = Any
 """Type of an entry: a number, an array or a CasADi expression."""
@@ -26,56 +25,55 @@ Group = TypeVar("Group")
 
 
 def reannotated(of: type[Group], **annotations: Any) -> type[Group]:
-    """Subclass of a dataclass of quantities in which some fields have other annotations, such as the labels of a list
-    that are known at run time only. The order of the fields stays."""
+    """Make a subclass of a dataclass of quantities with other annotations of some fields, in the same order."""
     return make_dataclass(of.__name__, annotations.items(), bases=(of,), frozen=True)
 
 
 @cache
 def _members(of: Any) -> list[tuple[str, type | None, tuple[str, ...] | None, Any]]:
-    """Each field with its class if it is a dataclass, its labels if it is a list, and its first note if it has one."""
+    """Return for each field its name, its class if it is a dataclass, its labels if it is a list, and its note."""
     hints = get_type_hints(of, include_extras=True)
-    found: list = []
+    result: list = []
     for field in fields(of):
         inner, *more = get_args(hints[field.name]) or (hints[field.name],)
         note = more[0] if more else None
         if is_dataclass(inner):
-            found.append((field.name, inner, None, note))
+            result.append((field.name, inner, None, note))
         elif inner is not str:
             labels = tuple(map(str, more[0])) if get_origin(inner) is list else None
-            found.append((field.name, None, labels, note or inner))
-    return found
+            result.append((field.name, None, labels, note or inner))
+    return result
 
 
 def notes(of: type) -> list[tuple[str, Any]]:
-    """Pairs (name, note) of all entries of a dataclass of quantities, in the order of `names`. The note is the unit
-    (str) or the `data.Quantity` of the entry; its type where it has neither, None for an element of a list."""
-    found: list[tuple[str, Any]] = []
+    """Return the pairs (name, note) of all entries in order. The note is the unit (str) or the `data.Quantity` of the
+    entry; its type where it has neither, None for an element of a list."""
+    result: list[tuple[str, Any]] = []
     for name, inner, labels, note in _members(of):
         if inner:
-            found += [(f"{note or name}.{entry}", unit) for entry, unit in notes(inner)]
+            result += [(f"{note or name}.{entry}", unit) for entry, unit in notes(inner)]
         else:
-            found += [(name, note)] if labels is None else [(f"{name}.{label}", None) for label in labels]
-    return found
+            result += [(name, note)] if labels is None else [(f"{name}.{label}", None) for label in labels]
+    return result
 
 
 def names(of: type) -> tuple[str, ...]:
-    """Names of all entries of a dataclass of quantities in order: "y" for a number, "front.y" for an entry of the field
-    `front`, "tau.front_le" for a list element. Entries of a field `Annotated[dataclass, prefix]` are "prefix.y"."""
+    """Return the names of all entries in order, see the module. In a field `Annotated[dataclass, prefix]` the names
+    begin with this prefix instead of the name of the field."""
     return tuple(name for name, _ in notes(of))
 
 
 def pack(values: Any) -> list:
-    """Flat list of the entries of an instance of a dataclass of quantities, in the order of `names`."""
-    found: list = []
+    """Return the entries of an instance as a flat list in the order of `names`."""
+    result: list = []
     for name, inner, labels, _ in _members(type(values)):  # type: ignore[arg-type]
         value = getattr(values, name)
-        found += pack(value) if inner else [value] if labels is None else value
-    return found
+        result += pack(value) if inner else [value] if labels is None else value
+    return result
 
 
 def unpack(of: type[Group], entries: Iterable) -> Group:
-    """Instance of the dataclass of quantities `of` from a flat list of its entries in the order of `names`."""
+    """Make an instance of the dataclass `of` from its entries in the order of `names`."""
     source = iter(entries)
     made = object.__new__(of)
     for name, inner, labels, _ in _members(of):  # type: ignore[arg-type]
@@ -87,17 +85,16 @@ def unpack(of: type[Group], entries: Iterable) -> Group:
 
 
 def indices(of: type[Group]) -> Group:
-    """Instance of the dataclass of quantities `of` in which each entry is its own index in the list of `pack`."""
+    """Make an instance of the dataclass `of` in which each entry is its own index in the list of `pack`."""
     return unpack(of, range(len(names(of))))
 
 
 def symbols(of: type[Group], name: str) -> tuple[ca.SX, Group]:
-    """Pair: CasADi vector SX called `name`, shape (len(names(of)), 1); instance of the dataclass of quantities `of`,
-    whose entries are the elements of this vector."""
+    """Return the pair: CasADi column vector SX called `name`; instance of `of` whose entries are its elements."""
     vector = ca.SX.sym(name, len(names(of)))
     return vector, unpack(of, ca.vertsplit(vector))
 
 
 def named(columns: Iterable[str], vector: ca.SX) -> dict[str, ca.SX]:
-    """Dict from column name to element of an SX vector; both have the same order and length."""
+    """Return the elements of an SX vector as a dict with the names `columns`."""
     return dict(zip(columns, ca.vertsplit(vector), strict=True))

@@ -1,6 +1,6 @@
 """Public calls under AddressSanitizer and UndefinedBehaviorSanitizer; `make sanitize` sets the environment.
 
-A finding ends the process with a report. What has to be refused is used where it is not, so that the sanitizers see it.
+A finding ends the process with a report. Invalid input is used if it is not refused, so that the sanitizers see it.
 """
 
 import ctypes
@@ -29,16 +29,16 @@ CONTROLLERS = {
 FAR = (-1e15, -1e6, -60.1, -60.0, 20.0, 1e4, 1e15, np.inf, np.nan)
 """Track coordinates before, at and beyond the ends of the route (m)."""
 DRIVE = """
-int drive(void) {  /* a broken entry of what is measured, or all of them, between sound cycles */
+int drive(void) {  /* one invalid measurement, or all of them, between valid cycles */
   static controller_t c;
-  static const double broken[] = {0.0 / 0.0, 1 / 0.0, -1 / 0.0, 1e300, -1e300, 1e15, -1e15, 1e5, -1e3, -60.1, 1e-300};
+  static const double invalid[] = {0.0 / 0.0, 1 / 0.0, -1 / 0.0, 1e300, -1e300, 1e15, -1e15, 1e5, -1e3, -60.1, 1e-300};
   for (int i = -1; i < N_INPUT; ++i)
-    for (unsigned k = 0; k < sizeof broken / sizeof *broken; ++k) {
+    for (unsigned k = 0; k < sizeof invalid / sizeof *invalid; ++k) {
       controller_reset(&c);
       for (int cycle = 0; cycle < 24; ++cycle) {
         for (int j = 0; j < N_INPUT; ++j) {
-          const double sound = j == MEASURED_FRONT_V || j == MEASURED_REAR_V ? 50 : 0;
-          c.measured[j] = cycle % 12 > 5 && (i < 0 || i == j) ? broken[k] : sound;
+          const double valid = j == MEASURED_FRONT_V || j == MEASURED_REAR_V ? 50 : 0;
+          c.measured[j] = cycle % 12 > 5 && (i < 0 || i == j) ? invalid[k] : valid;
         }
         controller_step(&c);
       }
@@ -58,7 +58,7 @@ def refused(use):
 
 
 def drive(route):
-    """Steps of a car, and its outputs in every cell of a route and far from it."""
+    """Compute the outputs of a car in every cell of a route and far from it, and steps of a car."""
     car = SteppedCar(route, 50.0)
     for p in (*np.arange(-60.0, 2000.0, 0.5), *FAR):
         car.state[equations.indices("body.s", "front.s", "rear.s")] = p

@@ -1,4 +1,4 @@
-"""The package without its checkout: a wheel in an empty folder elsewhere runs the first example of the README."""
+"""The package without its checkout: an installed wheel runs the first example of the README in an empty folder."""
 
 import os
 import re
@@ -20,7 +20,7 @@ PARTS = ("railrepro", "data", "pyproject.toml", "README.md", "LICENSE")
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    """Folder with nothing but the wheel, built from a source distribution."""
+    """Folder that contains only the content of the wheel, which is built from a source distribution."""
     source, built, site = (tmp_path_factory.mktemp(name) for name in ("source", "built", "site"))
     for part in PARTS:
         copy = shutil.copytree if (paths.ROOT / part).is_dir() else shutil.copy
@@ -34,13 +34,11 @@ def site(tmp_path_factory):
 
 
 def run(site, code, folder, **more):
-    """What a program prints in a folder that is also the home, with the packages of this environment and the wheel."""
+    """Run a program with the wheel and this environment in a folder that is also the home; return its output."""
     foreign = ("RAILREPRO_ROOT", "RAILREPRO_OUTPUT", "XDG_CACHE_HOME")
-    known = {name: value for name, value in os.environ.items() if name not in foreign}
-    place = {"HOME": str(folder), "PYTHONPATH": str(site)}
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, cwd=folder, env=known | place | more
-    )
+    around = {name: value for name, value in os.environ.items() if name not in foreign}
+    around |= {"HOME": str(folder), "PYTHONPATH": str(site)} | more
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=folder, env=around)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -52,28 +50,25 @@ def test_the_first_example_runs_without_a_checkout_and_gives_the_same(site, tmp_
         exec(example, {})
     (tmp_path / "data").mkdir()
     (tmp_path / "data/vehicle.toml").write_text("# a stray file changes nothing")
-    own = tmp_path / ".cache/railrepro/compiled"
-    shutil.copytree(
-        cache_folder(), own, ignore=shutil.ignore_patterns("*.lock", "*.scratch", ".*")
-    )  # saves a minute; what is found is that of the same generated source
-    shutil.copy(user_folder() / "key", own)
-    own.chmod(0o700)
-    before = set(own.glob("*.so"))
+    cached = tmp_path / ".cache/railrepro/compiled"  # saves a minute of compilation
+    shutil.copytree(cache_folder(), cached, ignore=shutil.ignore_patterns("*.lock", "*.scratch", ".*"))
+    shutil.copy(user_folder() / "key", cached)
+    cached.chmod(0o700)
+    before = set(cached.glob("*.so"))
     *table, file = run(site, example + "\nimport railrepro\nprint(railrepro.__file__)", tmp_path).splitlines()
     assert file == str(site / "railrepro/__init__.py")
     assert table == here.getvalue().splitlines()
-    assert set(own.glob("*.so")) == before
+    assert set(cached.glob("*.so")) == before
     written = {path.name for path in tmp_path.iterdir()} - {".config"}  # of Matplotlib
     assert written == {"data", ".cache", "first.png"}
     assert not list(site.rglob("*.so"))
 
 
-def test_all_inputs_are_in_the_wheel_as_they_are(site):
+def test_the_wheel_contains_all_inputs_and_c_sources(site):
     inputs = {*paths.DATA.glob("*.toml"), *paths.DATA.glob("tuned/*/*.json"), paths.DATA / "LICENSE"}
-    carried = [file.relative_to(site / "railrepro/data") for file in (site / "railrepro/data").rglob("*")]
-    names = {file for file in carried if (site / "railrepro/data" / file).is_file()}
-    assert names == {file.relative_to(paths.DATA) for file in inputs}
-    assert all((site / "railrepro/data" / name).read_bytes() == (paths.DATA / name).read_bytes() for name in names)
+    expected = {file.relative_to(paths.DATA): file.read_bytes() for file in inputs}
+    folder = site / "railrepro/data"
+    assert {f.relative_to(folder): f.read_bytes() for f in folder.rglob("*") if f.is_file()} == expected
     code = {file.relative_to(paths.ROOT) for file in (paths.ROOT / "railrepro").rglob("*.[ch]")}
     assert code == {file.relative_to(site) for file in site.rglob("*.[ch]")}
 
@@ -89,7 +84,7 @@ def test_products_go_to_the_working_folder_or_where_they_are_redirected(site, tm
     assert redirected == [f"{other}/data/results/a.csv", f"{other}/data/vehicle.toml"]
 
 
-def test_the_names_of_the_package_are_there_and_are_loaded_when_used(site, tmp_path):
+def test_the_names_of_the_package_exist_and_are_imported_when_they_are_used(site, tmp_path):
     assert all(callable(getattr(railrepro, name)) for name in railrepro.FACADE if name != "metrics")
     assert set(railrepro.FACADE) <= set(dir(railrepro)) and not hasattr(railrepro, "simulation_of")
     code = "import sys, railrepro; print(sorted({'casadi', 'numpy', 'pandas', 'scipy'} & set(sys.modules)))"

@@ -1,1 +1,1 @@
-"""Export of controllers and car: C without dependencies, and FMUs (FMI 2.0)."""
+"""Export of car and controllers: C source without dependencies, FMUs (FMI 2.0), a live page."""

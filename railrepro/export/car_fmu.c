@@ -1,4 +1,4 @@
-/* The car as an FMU. Starts after car.c and the constants of the exported route, contact table and vehicle; fmi2.c follows. */
+/* The car as an FMU. It follows car.c and the constants of route, contact table and vehicle; fmi2.c follows it. */
 
 #define FMU_INPUTS car.torque
 #define FMU_OUTPUTS car.measured
@@ -10,13 +10,13 @@ typedef struct {
   double parameters[N_PARAMETER];
 } fmu_t;
 
-/* At rest on its wheels as its parameters have it, and outputs before the first step. */
+/* Start at rest on the wheels with the present parameters, and compute the outputs before the first step. */
 static void begin(fmu_t *u) {
   const double *in[] = {u->parameters, u->parameters + PARAMETER_SPEED};
   double *out[] = {u->car.state};
   memcpy(u->car.parameters, u->parameters, sizeof u->car.parameters);
   car_rest(in, out, 0, 0, 0);
-  car_look_up(&u->car);  /* the look-up of contacts uses the irregularities of the rows found before */
+  car_look_up(&u->car);  /* a look-up uses the irregularities that the look-up before it found */
   car_measure(&u->car);
 }
 
@@ -27,13 +27,13 @@ static void reset(fmu_t *u) {
   begin(u);
 }
 
-/* NULL, or a sentence where the step failed. Finds its tables anew: u may be a copy. */
+/* Advance by steps of 1 ms. Returns NULL, or the reason of a failure. Sets its pointers to tables, as u may be a copy. */
 static const char *advance(fmu_t *u, casadi_int steps) {
   u->car.track = CELLS, u->car.profile = CONTACTS;
   for (casadi_int k = 0; k < steps; ++k) {
     car_advance(&u->car);
     for (int i = 0; i < N_STATE; ++i)
-      if (!(fabs(u->car.state[i]) < LARGEST_STATE)) return "a state of the car left all bounds, what follows means nothing";
+      if (!(fabs(u->car.state[i]) < LARGEST_STATE)) return "a state of the car left all bounds: its outputs are meaningless";
   }
   car_measure(&u->car);
   return NULL;

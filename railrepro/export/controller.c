@@ -1,14 +1,14 @@
-/* A controller of both gears with its road built in. Starts after cycle.c and the constants of the exported one. */
+/* A controller of both gears with its route. It follows cycle.c and the constants of the export. */
 
 enum { CONTROLLER_OK, CONTROLLER_FELL_BACK, CONTROLLER_REFUSED, CONTROLLER_FAILED };
 
-/* At the start of a run with the parameters as they are. */
+/* Start a run with the present parameters. */
 void controller_start(controller_t *c) {
   memset(c->memory, 0, sizeof c->memory), memset(c->held, 0, sizeof c->held), c->cycles = 0;
   for (int g = 0; g < GEARS; ++g) planner_reset(&c->planner[g], g, c->parameters);
 }
 
-/* The same with all parameters as exported. */
+/* Start a run with the parameters as exported. */
 void controller_reset(controller_t *c) {
   memset(c, 0, sizeof *c);
   memcpy(c->parameters, PARAMETERS, sizeof c->parameters);
@@ -16,14 +16,15 @@ void controller_reset(controller_t *c) {
   controller_start(c);
 }
 
-/* Whether n values are numbers within the ranges from the entry `first` of LOWEST and HIGHEST on. */
+/* Whether n values, none of them NaN, are in their ranges, the first in entry `first` of LOWEST and HIGHEST. */
 static int permitted(const double *values, int first, int n) {
   while (n-- > 0)
     if (!(LOWEST[first + n] <= values[n] && values[n] <= HIGHEST[first + n])) return 0;
   return 1;
 }
 
-/* One control cycle: from `measured` to `torque`; returns one of the above. Finds its tables anew: c may be a copy. */
+/* Compute `torque` from `measured`: one control cycle. Returns one of the constants above. Sets its pointers to tables, as c may
+   be a copy. */
 int controller_step(controller_t *c) {
   const casadi_int before = FALLBACKS(c);
   c->cells = CELLS;

@@ -1,4 +1,4 @@
-/* A controller as an FMU. Starts after controller.c; fmi2.c follows. */
+/* A controller as an FMU. It follows controller.c; fmi2.c follows it. */
 
 #define FMU_INPUTS measured
 #define FMU_OUTPUTS torque
@@ -10,7 +10,7 @@ typedef controller_t fmu_t;
 static void reset(fmu_t *u) { controller_reset(u); }
 static void begin(fmu_t *u) { controller_start(u); }
 
-/* What is measured is held for all cycles of a step. NULL, or a sentence where a cycle failed. */
+/* Advance by control cycles, in which the inputs are constant. Returns NULL, or the reason of a failure. */
 static const char *advance(fmu_t *u, casadi_int steps) {
   for (casadi_int k = 0; k < steps; ++k)
     if (controller_step(u) > CONTROLLER_FELL_BACK) return "the control law gave no finite number: all torques are 0";

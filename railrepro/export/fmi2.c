@@ -1,6 +1,7 @@
-/* A car or a controller as an FMU for co-simulation (FMI 2.0). Starts after its own C: fmu_t with FMU_INPUTS, FMU_OUTPUTS,
-   FMU_PARAMETERS, FMU_COUNT; reset, begin, advance. Value references: outputs, inputs, parameters. Names are those of the standard's
-   header files, (c) MODELISAR consortium and Modelica Association Project "FMI", 2-clause BSD licence; declared anew. */
+/* The functions of FMI 2.0 for co-simulation. They follow the C source of a car or a controller, which defines fmu_t with its members
+   FMU_INPUTS, FMU_OUTPUTS, FMU_PARAMETERS, the macro FMU_COUNT, and reset, begin, advance. Value references count outputs, inputs,
+   parameters. The names are those of the standard's header files, (c) MODELISAR consortium and Modelica Association Project "FMI",
+   2-clause BSD licence; the declarations are new. */
 
 #include <stdlib.h>
 
@@ -13,12 +14,12 @@ typedef struct {
 enum { CO_SIMULATION = 1, INSTANTIATED = 1, INITIALISING = 2, STEPPING = 4, TERMINATED = 8 };
 enum { FIRST_INPUT = N_OUTPUT, FIRST_PARAMETER = N_OUTPUT + N_INPUT, END = FIRST_PARAMETER + N_PARAMETER };
 
-/* The state, which can be copied; the GUID tells that it is one of this FMU. */
+/* The state, which can be copied. The GUID identifies it as a state of this FMU. */
 typedef struct {
   char guid[sizeof FMU_GUID];
   int phase;
   double start, stop;
-  casadi_int cycles;  /* since the start */
+  casadi_int cycles;  /* of 1 ms, since the start */
   fmu_t fmu;
 } state_t;
 
@@ -33,7 +34,7 @@ static fmi2Status refused(const instance_t *i, const char *text) {
 }
 #define ONLY(phases, call) if (!(i->now.phase & (phases))) return refused(i, "fmi2" call " is out of order")
 
-/* The variable of a value reference, NULL beyond the last one. */
+/* The variable of a value reference; NULL if there is none. */
 static double *variable(instance_t *i, unsigned reference) {
   fmu_t *u = &i->now.fmu;
   if (reference < FIRST_INPUT) return u->FMU_OUTPUTS + reference;
@@ -105,7 +106,7 @@ fmi2Status fmi2DoStep(instance_t *i, double time, double step, int keep) {
   ONLY(STEPPING, "DoStep");
   if (!(steps >= 1 && steps <= 1e9 && fabs(count - steps) <= 1e-6))
     return refused(i, "the communication step must be a whole number of ms");
-  if (!(fabs(time - now) <= PERIOD / 10)) return refused(i, "the communication point is not where the step before ended");
+  if (!(fabs(time - now) <= PERIOD / 10)) return refused(i, "the communication point is not the end of the step before");
   if (now + PERIOD * steps > i->now.stop + PERIOD / 10) return refused(i, "the step ends after the stop time");
   const char *failed = advance(&i->now.fmu, (casadi_int)steps);
   if (failed) return refused(i, failed);
@@ -131,7 +132,7 @@ fmi2Status fmi2DeSerializeFMUstate(instance_t *i, const char bytes[], size_t siz
   return fmi2OK;
 }
 
-/* Accepted without effect, as there are no variables of these types, and not offered; further arguments are not looked at. */
+/* Functions without effect, as there are no variables of these types, and functions that are not supported. */
 #define STUB(name, status) fmi2Status fmi2##name(void *c, ...) { return status; }
 STUB(SetDebugLogging, fmi2OK) STUB(GetBoolean, fmi2OK) STUB(GetString, fmi2OK)
 STUB(SetInteger, fmi2OK) STUB(SetBoolean, fmi2OK) STUB(SetString, fmi2OK)

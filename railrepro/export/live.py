@@ -1,6 +1,8 @@
 """The live page: car and controllers as WebAssembly in one HTML file that needs neither network nor installation.
-`python -m railrepro live` (`make live`) writes build/live/index.html. Its JavaScript (page/) steps the same C as the
-FMUs, so with the committed values its curve is that of `simulate`, bit for bit."""
+
+`python -m railrepro live` (`make live`) writes build/live/index.html. Its JavaScript (folder page) steps the C source
+of the FMUs. With the committed values its results equal those of `simulate` bit for bit.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,7 @@ from railrepro.car.component import SteppedCar
 from railrepro.compile import cache, codegen
 from railrepro.control import interface
 from railrepro.control.lateral import Guidance, ZeroOrderHold
-from railrepro.control.registry import CONTROLLERS, tuned
+from railrepro.control.registry import CONTROLLERS, REPLICATED, tuned
 from railrepro.data import Quantity, between, write
 from railrepro.export.car import car_fmu
 from railrepro.export.controller import Export
@@ -37,93 +39,85 @@ FIGURES = {
     "Figure 8: poor rail, 400 km/h": "adhesion_loss",
     "Figure 9: braking, T2, 160 km/h": "braking",
 }
-SHOWN = {"nmpc": "NMPC", "nmpc_observer": "NMPC with offset observer", "ltv_mpc": "LTV-MPC"}
-SHOWN |= {"ltv_mpc_printed": "LTV-MPC as printed", "ndi": "NDI", "ndi_swarm": "NDI, poles by swarm"}
-SHOWN |= {"ndi_feedforward": "NDI with rates of the set point", "ndi_integral": "NDI with rates and integral"}
-"""Controllers of the setting `paper`, as the page has no sensors."""
+SHOWN = (*REPLICATED, "ndi_swarm")
+"""Controllers of the page. They are those of the setting `paper`, as the page has no sensors."""
 OWN = "own"
-"""Name of the controller module that holds the torque of a user's law, written in the page."""
+"""Name of the controller whose torque is that of a law that a user writes on the page."""
 FACTORS = {"force": between(0.0, 2.0), "r": between(1e-3, 1e4), "faster": between(0.1, 5.0)}
-"""Range of what the page multiplies: the force demand, R of the predictive controllers, the poles of NDI."""
+"""Ranges of the factors on the force demand, on R of the predictive controllers and on the poles of NDI."""
 
 
 def _writable(name: str, values: np.ndarray) -> str:
-    """C table that the page fills."""
+    """C source of an array that the page fills."""
     return f"static double {name}[{np.size(values)}];\n"
 
 
-def _law(name: str) -> Guidance:
-    """Guidance of a controller with its tuned set, as the figures of the paper have it."""
+def _guidance(name: str) -> Guidance:
+    """Guidance of a controller with its tuned parameters, as in the figures of the paper."""
     return ZeroOrderHold() if name == OWN else tuned(name, CONTROLLERS[name].quick)
 
 
 def _packed(content: bytes | np.ndarray) -> str:
-    data = content if isinstance(content, bytes) else np.ascontiguousarray(content, dtype="<f8").tobytes()
-    return base64.b64encode(zlib.compress(data, 9)).decode()
+    raw = content if isinstance(content, bytes) else np.ascontiguousarray(content, dtype="<f8").tobytes()
+    return base64.b64encode(zlib.compress(raw, 9)).decode()
 
 
-def _module(of: Fmu) -> dict:
-    """A module of WebAssembly as the page has it."""
-    compiled = cache.build(of.text + (_HERE / "module.c").read_text(encoding="utf-8"), webassembly=True).read_bytes()
-    return {"module": _packed(compiled), "parameters": [asdict(one) for one in of.parameters]}
+def _module(fmu: Fmu) -> dict:
+    """Compile a car or a controller to a WebAssembly module; dict with "module" and "parameters"."""
+    compiled = cache.build(fmu.text + data.text(_HERE / "module.c"), webassembly=True).read_bytes()
+    return {"module": _packed(compiled), "parameters": [asdict(one) for one in fmu.parameters]}
 
 
 def content() -> dict:
-    """Data of the live page as a dict for JSON.
+    """Compute the data of the live page, a dict for JSON.
 
-    Arrays (float64) and WebAssembly modules are compressed by zlib and then base64 text. Keys:
+    Arrays (float64) and WebAssembly modules are compressed by zlib and encoded in base64. Keys:
 
-    - "columns": names of the columns of all "cells" (rows of a route);
-    - "ranges": fields of the `railrepro.data.Quantity` of each value that the page may change, by its key in the page;
+    - "columns": names of the columns of all "cells", the rows of a route;
+    - "ranges": key of a value that the page may change -> fields of its `railrepro.data.Quantity`;
     - "car": its "module", "parameters", "outputs", and the names "measured" by controllers;
-    - "controllers": by name: "label", "module", "parameters";
-    - "figures": by scenario: "title", "cells", "speed_kmh", "stop_kmh", "set_point", "end" (m), "stride" (ms between
-      rows of a curve), "force" (kN, largest demand), "committed" (by controller: curves "y", "p" in m).
+    - "controllers": name -> "label", "module", "parameters";
+    - "figures": scenario -> "title", "cells", "speed_kmh", "stop_kmh", "set_point", "end" (m), "stride" (ms between
+      rows of a curve), "force" (kN, largest demand), "committed": controller -> curves "y", "p" (m).
     """
     scenarios = {name: load_scenario(name) for name in FIGURES.values()}
     routes = {name: scenario.route() for name, scenario in scenarios.items()}
     longest = max(routes.values(), key=lambda route: len(route.cells))
     car = _module(car_fmu(SteppedCar(longest, 50.0), 50.0, _writable))
     car |= {"outputs": list(equations.car().outputs), "measured": list(interface.MEASURED)}
+    looks = data.read(paths.source("data/style.toml")) | {OWN: {"label": "Law of your own"}}
     controllers = {}
     for name in (*SHOWN, OWN):
         print(f"compiling {name}", flush=True)
-        module = _module(Export(_law(name), longest).fmu(_writable))
-        controllers[name] = {"label": SHOWN.get(name, "Law of your own")} | module
+        controllers[name] = {"label": looks[name]["label"]} | _module(Export(_guidance(name), longest).fmu(_writable))
     figures = {}
     for title, name in FIGURES.items():
         more = len(longest.cells) - len(routes[name].cells)  # the modules have as many cells as the longest route
         cells = np.pad(routes[name].cells, ((0, more), (0, 0)), "edge")
         figures[name] = {"title": title, "cells": _packed(cells)} | _experiment(scenarios[name])
+    ranges = {"speed_kmh": dict(notes(Scenario))["speed_kmh"], "amplitude_mm": dict(notes(Sine))["amplitude_mm"]}
+    ranges |= FACTORS | {name: note for name, note in notes(equations.CarParameters) if isinstance(note, Quantity)}
     shown = {"car": car, "controllers": controllers, "figures": figures}
-    return {"columns": list(COLUMNS), "ranges": _ranges()} | shown
-
-
-def _ranges() -> dict[str, dict]:
-    """Permitted range of each value that can be changed: of scenarios and vehicle as their classes state it."""
-    scenario = {"speed_kmh": dict(notes(Scenario))["speed_kmh"], "amplitude_mm": dict(notes(Sine))["amplitude_mm"]}
-    car = {name: note for name, note in notes(equations.CarParameters) if isinstance(note, Quantity)}
-    return {key: asdict(allowed) for key, allowed in (scenario | FACTORS | car).items()}
+    return {"columns": list(COLUMNS), "ranges": {key: asdict(allowed) for key, allowed in ranges.items()}} | shown
 
 
 def _experiment(scenario: Scenario) -> dict:
-    """A scenario as the page has it, with its committed runs by controller."""
-    found = {key: getattr(scenario, key) for key in ("speed_kmh", "stop_kmh", "set_point")}
-    # milliseconds between rows of the page, more for a run to standstill
-    found |= {"end": scenario.end_m, "stride": 10 if scenario.stop_kmh is None else 50}
-    found["force"] = max((force for _, force in scenario.force_kN), key=abs, default=0.0)
-    found["committed"] = {}
+    """Values of a scenario and its committed runs, see "figures" in `content`."""
+    values = {key: getattr(scenario, key) for key in ("speed_kmh", "stop_kmh", "set_point")}
+    stride = 10 if scenario.stop_kmh is None else 50
+    force = max((force for _, force in scenario.force_kN), key=abs, default=0.0)
+    committed = {}
     for name in SHOWN:
-        series = simulate.run(scenario, _law(name)).series.iloc[:: found["stride"]]
-        path = {"y": _packed(series["front.y"].to_numpy()), "p": _packed(series["front.p"].to_numpy().round(1))}
-        found["committed"][name] = path
-    return found
+        series = simulate.run(scenario, _guidance(name)).series.iloc[::stride]
+        y, p = series["front.y"].to_numpy(), series["front.p"].to_numpy().round(1)
+        committed[name] = {"y": _packed(y), "p": _packed(p)}
+    return values | {"end": scenario.end_m, "stride": stride, "force": force, "committed": committed}
 
 
-def page(found: dict) -> str:
-    """HTML text of the live page with the dict `found`, from `content`, embedded in it.
+def page(embedded: dict) -> str:
+    """HTML text of the live page that contains `embedded`, the dict of `content`.
 
-    Its content security policy names the embedded scripts and styles by their hashes. The page can reach no network.
+    Its content security policy permits only the embedded scripts and styles, by their hashes, and no network.
     """
     text, notice = data.text(_HERE / "page.html"), codegen.ELEMENTARY.partition("*/")[0].removeprefix("/* ")
     for name in ("uPlot.min.css", "page.css", "uPlot.iife.min.js", "car.mjs", "page.js"):
@@ -132,13 +126,13 @@ def page(found: dict) -> str:
         text = text.replace(f"'{name}'", f"'sha256-{digest}'").replace(f"/* {name} */", source)
     for name, licence in (("uPlot.LICENSE", data.text(_HERE / "uPlot.LICENSE")), ("FDLIBM", notice)):
         text = text.replace(f"/* {name} */", html.escape(licence, quote=False))
-    return text.replace("/* content */", json.dumps(found).replace("</", "<\\/"))
+    return text.replace("/* content */", json.dumps(embedded).replace("</", "<\\/"))
 
 
 def main() -> None:
-    """Write build/live/index.html, and beside it car.mjs and content.json (the dict of `content`)."""
-    found, folder = content(), paths.BUILD / "live"
-    write(folder / "index.html", page(found))
-    write(folder / "car.mjs", (_HERE / "car.mjs").read_text(encoding="utf-8"))
-    write(folder / "content.json", json.dumps(found))
+    """Write build/live/index.html, and in the same folder car.mjs and content.json, the dict of `content`."""
+    embedded, folder = content(), paths.BUILD / "live"
+    write(folder / "index.html", page(embedded))
+    write(folder / "car.mjs", data.text(_HERE / "car.mjs"))
+    write(folder / "content.json", json.dumps(embedded))
     print(f"{folder / 'index.html'}: {(folder / 'index.html').stat().st_size / 1e6:.2f} MB")

@@ -1,5 +1,4 @@
-/* The memory of a predictive controller, of a size that is known when it is compiled. Starts after planner.c and the constants
-   of the settings. */
+/* Memory of a predictive controller. Its size is a constant. It follows planner.c and the constants of the settings. */
 
 typedef struct {
   horizon_t h;

@@ -1,4 +1,4 @@
-"""The guide's page on adding, done to the letter in a copy of the checkout, and what keeps a tuned set valid."""
+"""The steps of the guide's page on adding, in a copy of the checkout."""
 
 import re
 import shutil
@@ -57,7 +57,7 @@ if __name__ == "__main__":
 
 @pytest.fixture
 def copy(tmp_path):
-    """What a run needs of a clone."""
+    """A copy of library and data."""
     for name in ("railrepro", "data"):
         shutil.copytree(paths.ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
     (tmp_path / "build").mkdir()
@@ -65,7 +65,7 @@ def copy(tmp_path):
 
 
 def insert(file, text, before=""):
-    """Add text to a file, before a passage that it has once or at its end."""
+    """Insert text in a file before a passage that occurs once, or at the end."""
     old = file.read_text()
     assert not before or old.count(before) == 1
     file.write_text(old.replace(before, text + before) if before else old + text)
@@ -77,12 +77,11 @@ def run(folder, program, text):
     assert done.returncode == 0, done.stderr[-2000:]
 
 
-def test_what_is_added_works(copy):
+def test_the_steps_of_the_guide_work(copy):
     page = (paths.NOTEBOOKS / "book/adding.md").read_text()
     *_, example, slower = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
-    (copy / "railrepro/control/own.py").write_text(
-        "import casadi as ca\n\n\n" + example[example.index("class") : example.index("scenario =")]
-    )
+    law = example[example.index("class") : example.index("scenario =")]
+    (copy / "railrepro/control/own.py").write_text("import casadi as ca\n\n\n" + law)
     registry = copy / "railrepro/control/registry.py"
     insert(registry, "from railrepro.control.own import StateFeedback\n", "from railrepro.control.problem")
     insert(registry, CONTROLLER, "INVERSIONS = ")

@@ -1,4 +1,4 @@
-"""The code that a process runs: no cache serves old physics, and every Python has the same hashes."""
+"""Hashes of code: they are the same in every Python, and no cache returns results of other code."""
 
 import os
 import shutil
@@ -44,14 +44,14 @@ def test_imports_are_followed_in_all_forms(home, text):
     assert f"railrepro/{home}" in code.reached(text)
 
 
-def test_imports_lead_no_further_than_they_must():
+def test_only_imported_modules_are_reached():
     assert "railrepro/simulation/simulate.py" not in code.reached("from railrepro import paths, InputError")
     assert code.reached('"""from railrepro.control import mpc"""\n# import railrepro\n') == {}
     assert not [name for name in code.reached(RUNS) if "/report/" in name or "fmi" in name]
     assert not any(name.startswith("railrepro/own") for name in code.reached("from railrepro.car import equations"))
 
 
-def test_the_version_holds_every_source_that_computes_a_run_and_none_that_asks_for_it(monkeypatch):
+def test_the_version_depends_on_every_source_that_computes_a_run_and_on_no_other(monkeypatch):
     before, own = code.version(), code._source_hash
     changed = {}
     for name in code._FILES:
@@ -64,7 +64,7 @@ def test_the_version_holds_every_source_that_computes_a_run_and_none_that_asks_f
 
 @pytest.fixture
 def copy(tmp_path):
-    """A checkout with a copy of the package, to be edited."""
+    """A checkout with a copy of the package that can be edited."""
     shutil.copytree(paths.ROOT / "railrepro", tmp_path / "railrepro", ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("notebooks", "data", "build"):
         (tmp_path / name).mkdir()
@@ -72,19 +72,19 @@ def copy(tmp_path):
 
 
 def python(folder, *arguments):
-    """A process of the checkout that runs `PROGRAM`."""
-    ours = {name: value for name, value in os.environ.items() if not name.startswith("RAILREPRO")}
-    around = {"cwd": folder, "env": ours | {"PYTHONPATH": str(folder)}, "text": True}
+    """Start a process of the checkout that runs `PROGRAM`."""
+    around = {name: value for name, value in os.environ.items() if not name.startswith("RAILREPRO")}
+    around["PYTHONPATH"] = str(folder)
     pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
-    return subprocess.Popen([sys.executable, "-c", PROGRAM, *arguments], **around, **pipes)
+    return subprocess.Popen([sys.executable, "-c", PROGRAM, *arguments], cwd=folder, env=around, text=True, **pipes)
 
 
 def fade(folder, before, after):
-    """Edit the physics."""
+    """Change a constant of the control law."""
     file = folder / "railrepro/control/law.py"
-    text = file.read_text().partition(f"GUIDANCE_FADE = {before}")
-    assert text[1]
-    file.write_text(f"{text[0]}GUIDANCE_FADE = {after}{text[2]}")
+    text = file.read_text()
+    assert text.count(f"GUIDANCE_FADE = {before}") == 1
+    file.write_text(text.replace(f"GUIDANCE_FADE = {before}", f"GUIDANCE_FADE = {after}"))
 
 
 EDITED = "railrepro was edited after this process imported it"
@@ -117,14 +117,14 @@ print(row["fade"], code.unchanged())
     ("moment", "answers", "printed", "new"),
     [
         ("between import and key", "\n", "1.0\n1.0 False\n", "2.0"),  # the new code must not get the old value
-        ("between key and import", "\n\n", "200.0\nnow\n200.0 False\n", "1.0"),  # nor code that was put back
+        ("between key and import", "\n\n", "200.0\nnow\n200.0 False\n", "1.0"),  # nor the restored code the new one
     ],
 )
-def test_a_process_whose_code_was_edited_leaves_nothing_to_the_next(copy, moment, answers, printed, new):
+def test_a_process_whose_code_was_edited_stores_nothing(copy, moment, answers, printed, new):
     old = python(copy, moment)
     assert old.stdout.readline() == "now\n"
     fade(copy, "1.0", "200.0")
-    said, told = old.communicate(answers, timeout=120)
-    assert said == printed and told.count(EDITED) == 1
+    output, errors = old.communicate(answers, timeout=120)
+    assert output == printed and errors.count(EDITED) == 1
     fade(copy, "200.0", new)
     assert python(copy, "").communicate(timeout=120) == (f"{new}\n{new} True\n", "")

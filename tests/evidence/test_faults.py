@@ -1,7 +1,6 @@
-"""Faults on purpose in a chain of one notebook: kills and Ctrl-C.
+"""Fault injection in a chain of one notebook: kill and Ctrl-C.
 
-Survived means: one sentence where a person is told, products whole, no process left, and the next run ends as if
-nothing had been.
+After a fault no process is left, products are complete, and the next run ends as if the fault had not happened.
 """
 
 import os
@@ -22,24 +21,24 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 CHAIN = """
 [[notebook]]
 name = "01_first"
-title = "writes a table and, slowly, a second one"
+title = "writes a table and slowly a second one"
 writes = ["data/results/one.csv", "data/results/two.csv"]
 """
 FIRST = """from railrepro import paths
 paths.product("data/results/one.csv").write_text("a\\n42.0\\n")
 if (paths.ROOT / "hold").exists():
     (paths.ROOT / "held").touch()
-    sum(range(10**12))  # in C, which nothing interrupts
+    sum(range(10**12))  # in C, so it cannot be interrupted
 paths.product("data/results/two.csv").write_text("b\\n" + "1\\n" * 20000)
 """
 
 
 class Toy:
-    """A checkout with one small notebook and the library of this one."""
+    """A checkout with one small notebook and this library."""
 
     def __init__(self, folder):
         self.folder = folder
-        for name in ("notebooks", "data", "figures", "build"):
+        for name in ("notebooks", "data", "figures", "build", "temporary"):
             (folder / name).mkdir(parents=True)
         for name in ("railrepro", "Makefile", "environment.lock", "pyproject.toml"):
             (folder / name).symlink_to(paths.ROOT / name)
@@ -50,25 +49,20 @@ class Toy:
         self.whole = self.products()
 
     def started(self, **options):
-        """A run of the chain in the environment of the caller without what this project sets."""
-        kept = {key: value for key, value in os.environ.items() if not key.startswith(("RAILREPRO", "MAKE", "MFLAGS"))}
-        (self.folder / "temporary").mkdir(exist_ok=True)
-        own = {
-            "TMPDIR": str(self.folder / "temporary"),
-            "RAILREPRO_ROOT": str(self.folder),
-            "RAILREPRO_CFLAGS": "-O0",
-            "PYTHONDONTWRITEBYTECODE": "1",
-        }
+        """Start the chain in the environment of the caller without the variables of this project."""
+        around = {key: text for key, text in os.environ.items() if not key.startswith(("RAILREPRO", "MAKE", "MFLAGS"))}
+        around |= {"TMPDIR": str(self.folder / "temporary"), "RAILREPRO_ROOT": str(self.folder)}
+        around |= {"RAILREPRO_CFLAGS": "-O0", "PYTHONDONTWRITEBYTECODE": "1"}
+        options |= {"cwd": self.folder, "env": around, "start_new_session": True, "text": True}
         command = ["make", f"PY={sys.executable}", "VENV=build/ready", "figures"]
-        around = {"cwd": self.folder, "env": kept | own, "start_new_session": True, "stdout": subprocess.DEVNULL}
-        return subprocess.Popen(command, stderr=subprocess.PIPE, text=True, **around, **options)
+        return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, **options)
 
     def held(self, on_interrupt):
-        """A run of make whose notebook waits in its middle."""
+        """Start make and wait until its notebook is between its two products."""
         self.forget()
         (self.folder / "held").unlink(missing_ok=True)
         (self.folder / "hold").touch()
-        # a job in the background of a shell hands down that it ignores Ctrl-C
+        # a background job of a shell ignores Ctrl-C, and so do its children
         started = self.started(preexec_fn=partial(signal.signal, signal.SIGINT, on_interrupt))
         while not (self.folder / "held").exists():
             assert started.poll() is None
@@ -81,15 +75,14 @@ class Toy:
             shutil.rmtree(self.folder / name, ignore_errors=True)
 
     def products(self):
-        """All that lies in data."""
-        files = [file for file in (self.folder / "data").rglob("*") if file.is_file()]
-        return {file.name: file.read_bytes() for file in files}
+        """Dict from the name of each file in data to its content."""
+        return {file.name: file.read_bytes() for file in (self.folder / "data").rglob("*") if file.is_file()}
 
     def survives(self):
-        """Nothing runs on, no product is half-written, and the next run makes all whole and leaves nothing behind."""
+        """No process is left, no product is half-written, and the next run completes all products."""
         inside = str(self.folder)
         while [one for one in psutil.process_iter(["cwd"]) if (one.info["cwd"] or "").startswith(inside)]:
-            time.sleep(0.1)  # the time limit of a test ends what never ends
+            time.sleep(0.1)  # until the time limit of the test
         for name, content in self.products().items():
             assert name.endswith(("MANIFEST.csv", ".part")) or self.whole[name] == content, f"{name} is half-written"
         (self.folder / "hold").unlink(missing_ok=True)
@@ -104,17 +97,17 @@ def toy(tmp_path_factory):
     return Toy(tmp_path_factory.mktemp("faults") / "toy")
 
 
-def test_a_kill_of_make_ends_all_that_it_started(toy):
+def test_a_kill_of_make_ends_its_processes(toy):
     started = toy.held(signal.SIG_IGN)
     started.kill()
     assert "Traceback" not in started.communicate()[1]
     toy.survives()
 
 
-def test_an_interrupt_is_told_in_one_sentence(toy):
+def test_ctrl_c_prints_one_sentence(toy):
     started = toy.held(signal.SIG_DFL)
     os.killpg(started.pid, signal.SIGINT)
-    said = started.communicate()[1].splitlines()
+    lines = started.communicate()[1].splitlines()
     expected = "make", "interrupted", "01_"
-    assert not [line for line in said if not line.startswith(expected) and "stale" not in line], said
+    assert not [line for line in lines if not line.startswith(expected) and "stale" not in line], lines
     toy.survives()

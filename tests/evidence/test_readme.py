@@ -1,4 +1,4 @@
-"""README and notation: numbers are those of the tables, links and names lead somewhere, the first program runs."""
+"""README, report and notation: they agree with the tables, their links and names exist, the first program runs."""
 
 import pkgutil
 import re
@@ -44,7 +44,7 @@ def test_codecheck_lists_the_products_of_all_chapters():
     assert listed["paper"]["title"] == yaml.safe_load((paths.ROOT / "CITATION.cff").read_text())["title"]
 
 
-def test_the_modules_that_carry_the_results_have_about_the_lines_that_referees_are_told():
+def test_modules_have_about_the_lines_that_the_guide_for_referees_states():
     rows = re.findall(r"^\| (`.*\.py`) \| (\d+) \|", (paths.ROOT / "CONTRIBUTING.md").read_text(), re.M)
     assert len(rows) > 8
     for files, lines in rows:
@@ -61,16 +61,16 @@ def test_the_first_program_draws_and_prints_the_numbers_of_the_table(monkeypatch
     assert (tmp_path / "first.png").stat().st_size > 10_000
 
 
-def test_names_of_the_package_are_listed_once_for_readers_and_once_for_type_checkers():
+def test_all_names_of_the_package_are_documented_and_exported():
     page = (paths.NOTEBOOKS / "book/api.md").read_text()
-    linked = {name: home for name, home in re.findall(r"`(\w+) <(railrepro\.[\w.]+)>`", page) if name in FACADE}
-    stub = re.findall(r"^from (\S+) import (\w+) as (\w+)$", (paths.ROOT / "railrepro/__init__.pyi").read_text(), re.M)
-    assert linked == FACADE == {name: f"{module}.{entry}" for module, entry, name in stub}
+    assert FACADE.items() <= set(re.findall(r"`(\w+) <(railrepro\.[\w.]+)>`", page))
     assert all(f"`{name}`" in railrepro.__doc__ for name in FACADE)
+    stub = (paths.ROOT / "railrepro/__init__.pyi").read_text().partition("__all__")[2]
+    assert set(re.findall(r'"(\w+)"', stub)) == {*railrepro.__all__}
 
 
 def known(name):
-    """Whether a name of the library is there, or the words of another one (column of a run, key of the car) occur."""
+    """Whether a name of the library exists, or all words of another name, such as a column of a run, occur in it."""
     if not name.startswith("railrepro."):
         return set(name.split(".")) <= WORDS
     home, _, last = name.rpartition(".")

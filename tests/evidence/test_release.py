@@ -15,7 +15,7 @@ def test_the_unit_with_the_torques_of_a_file_gives_its_displacements(tmp_path, m
     unit, *runs = release.write_runs(tmp_path / "runs")
     read = [pd.read_csv(file, float_precision="round_trip") for file in runs]
     for run in read:
-        car = Instance(unit, "car")
+        car = Instance(unit)
         for row in run.itertuples(index=False):
             assert car.get(["front.y", "rear.y"]) == [*row[-2:]]
             car.set(list(INPUTS), [*row[1:5]])

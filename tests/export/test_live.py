@@ -1,4 +1,4 @@
-"""The live page in a real browser: the run of `simulate` bit for bit, values that act, refused links and laws."""
+"""The live page in a browser: its runs equal those of `simulate` bit for bit; invalid values, links and laws."""
 
 import json
 import socket
@@ -16,7 +16,7 @@ from railrepro.simulation import simulate
 
 pytestmark = [
     needs_browser,
-    pytest.mark.skipif(cache.found(cache.PACKAGED) is None, reason="`make live` installs the compiler of WebAssembly"),
+    pytest.mark.skipif(cache.found(cache.PACKAGED) is None, reason="`make live` installs the compiler"),
 ]
 SCORES = (
     "[...document.querySelectorAll('#scores tbody tr')].map(row => [...row.cells].map(cell => cell.innerText.trim()))"
@@ -31,7 +31,7 @@ def browser_page(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cache, "WEBASSEMBLY", tuple("-O0" if flag == "-O2" else flag for flag in cache.WEBASSEMBLY))
         patch.setattr(live, "FIGURES", {"Figure 6": "curve_entry_T3"})
-        patch.setattr(live, "SHOWN", {name: live.SHOWN[name] for name in ("nmpc", "ndi")})
+        patch.setattr(live, "SHOWN", ("nmpc", "ndi"))
         found = live.content()
     (folder / "index.html").write_text(live.page(found))
     address = (folder / "index.html").as_uri()
@@ -42,7 +42,7 @@ def browser_page(tmp_path_factory):
 
 @pytest.fixture
 def page(browser_page):
-    """The page as somebody opens it who knows nothing of the tests before, its first runs ended."""
+    """The page after it was opened anew and its first runs have ended."""
     opened_page, address = browser_page
     opened_page.ask("Page.navigate", url="about:blank")
     opened_page.ask("Page.navigate", url=address)
@@ -51,25 +51,22 @@ def page(browser_page):
 
 
 def finished(page, seconds=300.0):
-    """Rows of the table of scores once all runs have ended."""
+    """Wait for the end of all runs and return the rows of the table of scores by controller."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         time.sleep(0.2)
         rows = page.evaluated(SCORES)
-        if rows and not any("driving" in row[-1] for row in rows):
+        if rows and not any("running" in row[-1] for row in rows):
             return {row[0]: row for row in rows}
     raise TimeoutError(str(rows))
 
 
 def follow(page, link):
-    """Change the link of the open page; `link` is a dict or a text. Return the link that the page makes of it."""
+    """Change the link of the open page to a dict or a text, and return the link that the page sets then."""
     text = quote(link if isinstance(link, str) else json.dumps(link))
-    return json.loads(
-        page.evaluated(
-            f"""new Promise((then) => {{addEventListener('hashchange', () => then(), {{once: true}});
-            location.hash = {json.dumps(text)};}}).then(() => decodeURIComponent(location.hash.slice(1)))"""
-        )
-    )
+    script = f"""new Promise((then) => {{addEventListener('hashchange', () => then(), {{once: true}});
+        location.hash = {json.dumps(text)};}}).then(() => decodeURIComponent(location.hash.slice(1)))"""
+    return json.loads(page.evaluated(script))
 
 
 def press(page, button):
@@ -84,16 +81,14 @@ def run_law(page, law):
 
 def give(page, text, value):
     """Type a value into the field of a slider."""
-    page.evaluated(
-        f"""{{const sliders = [...document.querySelectorAll('.slider')];
-        const box = sliders.find(each => each.innerText.includes({json.dumps(text)}));
-        const field = box.querySelector('input[type=number]');
+    script = f"""{{const sliders = [...document.querySelectorAll('.slider')];
+        const field = sliders.find(each => each.innerText.includes({json.dumps(text)})).querySelector('[type=number]');
         field.value = {value}; field.dispatchEvent(new Event('change'));}}"""
-    )
+    page.evaluated(script)
 
 
 def error_mm(name):
-    """RMSE of a tuned controller on T3 (mm), as the page shows it: over the rows that it keeps."""
+    """RMSE of a tuned controller on T3 (mm) over the rows that the page has."""
     series = simulate.run(load_scenario("curve_entry_T3"), tuned(name, CONTROLLERS[name].quick)).series
     kept = (series.index % 10 == 0) | (series.index == series.index[-1])
     return f"{1e3 * metrics.rmse(series[kept]):.3f}"
@@ -101,13 +96,12 @@ def error_mm(name):
 
 def test_the_committed_values_give_the_committed_run_bit_for_bit(page):
     rows = finished(page)
-    assert set(rows) == {"NMPC", "NDI"}
     assert all("Equal to the committed run." in row[-1] for row in rows.values())
-    assert [rows[name][1] for name in ("NMPC", "NDI")] == [error_mm(name) for name in ("nmpc", "ndi")]
+    assert {name: row[1] for name, row in rows.items()} == {"NMPC": error_mm("nmpc"), "NDI": error_mm("ndi")}
     assert page.errors == []
 
 
-def test_a_value_acts_is_marked_and_is_in_the_link(page):
+def test_a_changed_value_has_an_effect_is_marked_and_is_in_the_link(page):
     for text, value in (("friction of dry", 0.05), ("mass of the car", 50000), ("lag of", 0.03)):
         give(page, text, value)
         assert finished(page)["NMPC"][1] != error_mm("nmpc")
@@ -141,7 +135,7 @@ def test_a_value_acts_is_marked_and_is_in_the_link(page):
     ],
     ids=str,
 )
-def test_a_link_is_refused_with_a_sentence_in_what_it_may_not_say(browser_page, link):
+def test_invalid_parts_of_a_link_are_refused_with_a_sentence(browser_page, link):
     page, _ = browser_page
     before = len(page.errors)
     begin = follow(page, {"shown": ["ndi"]})
@@ -153,7 +147,7 @@ def test_a_link_is_refused_with_a_sentence_in_what_it_may_not_say(browser_page, 
     assert page.errors[before:] == []
 
 
-def test_a_law_of_a_link_waits_for_run_and_no_law_reaches_the_network(browser_page):
+def test_a_law_of_a_link_waits_for_run_and_has_no_network(browser_page):
     page, _ = browser_page
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"http://127.0.0.1:{server.getsockname()[1]}/"
@@ -168,12 +162,12 @@ def test_a_law_of_a_link_waits_for_run_and_no_law_reaches_the_network(browser_pa
             server.accept()
 
 
-def test_a_law_of_ones_own_scores_and_its_faults_are_sentences(page):
+def test_a_users_law_is_scored_and_its_faults_are_sentences(page):
     for box in ("own", "nmpc", "ndi"):
         page.evaluated(f"document.querySelector('#controllers input[value={box}]').click()")
     assert 0.5 < float(finished(page)["Law of your own"][1]) < 5
     forged = "postMessage({number: 3, block: [Array(15).fill(0)], ended: 'forged'}); return 0"
-    for law, said in (
+    for law, message in (
         ("return q.nothing.y", "The law stopped at p = 0.0 m: "),
         ("throw 5", "The law stopped at p = 0.0 m: 5."),
         ("return 1 +", "The law cannot be read: "),
@@ -184,7 +178,7 @@ def test_a_law_of_ones_own_scores_and_its_faults_are_sentences(page):
     ):
         run_law(page, law)
         assert finished(page, 20)["Law of your own"][-1] == "The law failed."
-        assert page.evaluated(MESSAGE).startswith(said)
+        assert page.evaluated(MESSAGE).startswith(message)
 
 
 @pytest.mark.parametrize("law", ["while (true) {}", "close(); return 0", "for (;;) postMessage([0, 0])"])

@@ -1,4 +1,4 @@
-"""A unit of FMI 2.0 in FMPy, for the tests of what is exported."""
+"""An instance of an FMU (FMI 2.0) in FMPy, for the tests of the export."""
 
 import contextlib
 import tempfile
@@ -10,16 +10,16 @@ fmi2 = pytest.importorskip("fmpy.fmi2")
 
 
 class Instance:
-    """One instance with what it logs, started unless `begun` is false."""
+    """One instance and its log, initialised unless `begun` is false."""
 
-    def __init__(self, file, name="unit", parameters=None, guid=None, begun=True):
+    def __init__(self, file, parameters=None, begun=True):
         description = fmpy.read_model_description(str(file))
         self.references = {v.name: v.valueReference for v in description.modelVariables}
         self.said, self.time = [], 0.0
-        own = {"instanceName": name, "modelIdentifier": description.coSimulation.modelIdentifier}
-        with tempfile.TemporaryDirectory() as folder:  # a loaded library needs its file no more
-            own |= {"guid": guid or description.guid, "unzipDirectory": fmpy.extract(str(file), folder)}
-            self.slave = fmi2.FMU2Slave(**own)
+        identifier = description.coSimulation.modelIdentifier
+        with tempfile.TemporaryDirectory() as folder:  # a loaded library no longer needs its file
+            made = {"guid": description.guid, "unzipDirectory": fmpy.extract(str(file), folder)}
+            self.slave = fmi2.FMU2Slave("unit", modelIdentifier=identifier, **made)
         self.slave.instantiate(callbacks=self._callbacks())
         if begun:
             self.begin(parameters)
@@ -39,7 +39,7 @@ class Instance:
 
     @contextlib.contextmanager
     def refused(self):
-        """The call inside is an error, which the log explains; yields the log."""
+        """Context manager: the call inside must be an error with one entry of the log, which is yielded."""
         self.said.clear()
         with pytest.raises(fmpy.fmi1.FMICallException) as raised:
             yield self.said

@@ -1,20 +1,20 @@
-// The car and its controllers in JavaScript: modules of WebAssembly stepped as the FMUs are, the controller before the car,
+// The car and its controllers in JavaScript: WebAssembly modules that are stepped like the FMUs, the controller before the car,
 // each by 1 ms. SI units, torques traction-positive, y to the right.
 //
-//   load(content)                 what `python -m railrepro live` wrote as content.json, made ready
+//   load(content)                 prepare the data that `python -m railrepro live` wrote to content.json
 //   Unit.of(given, cells)         the car or a controller: set(name, value), start(), step(), inputs, outputs, parameter(name)
-//   settings(loaded, figure)      what `drive` takes, as committed; change what you like
-//   drive(loaded, settings)       an async generator of rows, see ROW; it returns why the run ended. The controller "own" asks
-//                                 the function settings.law each millisecond: it takes [front, rear], what the two gears
-//                                 measure, and returns their differential torques (N m), or a promise of them
-//   changes(loaded, settings)     numbers of car and controller that follow from the settings
+//   settings(loaded, figure)      the committed settings of a run, to be changed and given to `drive`
+//   drive(loaded, settings)       an async generator of rows, see ROW, which returns why the run ended. The controller "own" calls
+//                                 the function settings.law each millisecond. It takes [front, rear], the measured quantities of
+//                                 both gears, and returns their differential torques (N m), or a promise of them
+//   changes(loaded, settings)     parameters of car and controller that follow from the settings
 //   lawOf(text)                   such a function from the text of a law, in a browser; its `end()` ends its worker
-//   score(rows)                   errors, delay, way, torques
+//   score(rows)                   errors, delay, distance, torques
 
 export const ROW = ["t", "p", "v", "y_ref", "y", "psi", "du", "tau_le", "tau_ri", "f_le", "f_ri", "sx_le", "sx_ri", "y_rear", "psi_rear"];
 const MS = 1e-3, DERAILED = 0.03, PATIENCE = 3;
 
-/* Bytes, or numbers, from what the page embeds. */
+/* Bytes of an embedded text. */
 async function unpacked(text) {
   const packed = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
@@ -33,7 +33,7 @@ export async function load(content) {
 
 export class Unit {
   static async of(given, cells) {
-    const imports = {};  // a module of WASI; nothing that it would ask for is ever called
+    const imports = {};  // of a WASI module; it never calls them
     for (const i of WebAssembly.Module.imports(given.module)) (imports[i.module] ??= {})[i.name] = () => 0;
     const unit = new Unit(), { exports } = await WebAssembly.instantiate(given.module, imports);
     const at = (pointer, n) => new Float64Array(exports.memory.buffer, pointer, n);
@@ -73,7 +73,7 @@ export function changes(loaded, s) {
   return { car, controller };
 }
 
-/* The road of a figure with its set point and force demand scaled as the settings say. */
+/* The route of a figure with its set point and force demand scaled according to the settings. */
 function laid(loaded, s) {
   const { cells, set_point } = loaded.figures[s.figure], road = Float64Array.from(cells), width = loaded.columns.length;
   const scale = (name, factor) => { for (let i = loaded.columns.indexOf(name); i < road.length; i += width) road[i] *= factor; };
@@ -82,8 +82,8 @@ function laid(loaded, s) {
   return road;
 }
 
-/* A law from its text, in a worker of its own: whatever the text does there, all that comes out are torques. By its address,
-   data:, the worker has an origin of its own and shares no storage with the page, whose policy gives it no network. */
+/* A law from its text, in a separate worker: whatever the text does, it can return only torques. A worker from a data: address has a
+   separate origin, so it shares no storage with the page, and the policy of the page permits no network. */
 export function lawOf(text) {
   const worker = new Worker(`data:text/javascript;charset=utf-8,${encodeURIComponent(`"use strict";
     onmessage = ({ data }) => {
@@ -148,7 +148,7 @@ export async function* drive(loaded, s) {
   }
 }
 
-/* RMSE and largest error (mm), delay (m), largest torque and its RMS (N m), way, time. */
+/* RMSE and largest error (mm), delay (m), RMS and largest torque (N m), distance (m), time (s). */
 export function score(rows) {
   const of = (name) => rows.map((row) => row[ROW.indexOf(name)]), y = of("y"), y_ref = of("y_ref"), p = of("p"), du = of("du");
   const rms = (values) => Math.sqrt(values.reduce((sum, v) => sum + v * v, 0) / values.length);
@@ -159,7 +159,7 @@ export function score(rows) {
   };
 }
 
-/* Way (m) by which y trails its set point: lag of the largest correlation of both, less their means, within 60 m. */
+/* Distance (m) by which y lags behind its set point: lag of the largest correlation of both, without their means, within 60 m. */
 function delay(p, y, y_ref) {
   const step = 0.5, n = Math.floor((p.at(-1) - p[0]) / step), most = Math.min(120, n >> 1);
   let k = 0;

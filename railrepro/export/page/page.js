@@ -7,12 +7,12 @@ const EXAMPLE = `// proportional to the error, with yaw angle and yaw rate again
 const e = q.y_ref - q.y, course = q.dy_ref - q.psi, turn = q.v * (q.kappa + q.ddy_ref) - q.r;
 return 3e5 * e + 3e4 * q.v * course + 1e3 * q.v * turn;`;
 
-/* Values that can be changed: where they stand in the settings, text, ends and step of the slider, and whether they apply. What is
-   allowed is content.ranges, as the library has it. */
+/* Values that can be changed: key in the settings, text, ends and step of the slider, and condition for their use. The permitted
+   ranges are content.ranges, those of the library. */
 const VALUES = [
   { key: "speed_kmh", text: "speed (km/h)", low: 20, high: 430, step: 1 },
   { key: "amplitude_mm", text: "amplitude of the set point (mm)", low: 0.1, high: 6, step: 0.1 },
-  { key: "force", text: "force demand, times the committed one", low: 0, high: 2, step: 0.05, if: (s) => content.figures[s.figure].force },
+  { key: "force", text: "force demand, factor", low: 0, high: 2, step: 0.05, if: (s) => content.figures[s.figure].force },
   { key: "r", text: "R of the predictive controllers, factor", low: 1e-3, high: 1e4, log: true },
   { key: "faster", text: "poles of NDI, factor", low: 0.1, high: 5, step: 0.05 },
   { key: "adhesion.good.mu0", text: "friction of dry rail", low: 0.05, high: 0.6, step: 0.005, car: true },
@@ -28,7 +28,7 @@ const committedOf = (v, figure) => v.car ? stated.get(v.key) : settings(content,
 let state, started = EXAMPLE;  // the law that may run: the example, or what was there when Run was pressed
 let runs = [], workers = [], pointed = null, plots = [];
 
-/* Take a value, from a field or a link. The sentence why not, if it is refused. */
+/* Take a value from a field or a link. Returns the reason if it is refused. */
 function put(v, x) {
   const { low, high, closed, signed } = content.ranges[v.key], size = signed ? Math.abs(x) : x;
   if (!(Number.isFinite(x) && (size > low || (closed && size === low)) && size <= high))
@@ -36,7 +36,7 @@ function put(v, x) {
   if (x === committedOf(v, state.figure)) delete state.values[v.key]; else state.values[v.key] = x;
 }
 
-/* Take the state from the link of the page. Sentences on what in it is refused; in its place is what the page begins with. */
+/* Take the state from the link of the page. Returns the reasons for what is refused; it keeps its initial value. */
 function restore() {
   state = { figure: "curve_entry_T3", shown: ["nmpc", "ndi"], values: {}, law: EXAMPLE };
   const known = (name, of) => typeof name === "string" && Object.hasOwn(of, name);
@@ -108,10 +108,10 @@ function build() {
 }
 function say(text) { byId("message").textContent = text; }
 
-/* One worker for each run, so that the page never waits; they keep their compiled modules. */
+/* One worker for each run, so that the page never waits. Workers keep their compiled modules. */
 function worker(i) {
   if (workers[i]) return workers[i];
-  // from a file a worker cannot import, so it holds the text
+  // a worker cannot import from a file, so it contains the text
   const text = byId("core").textContent.replaceAll(/^export /gm, "") + `
     let loaded, current = 0;
     onmessage = async ({ data }) => {
@@ -145,7 +145,7 @@ let number = 0;
 function run(said = []) {
   remember();
   number++;
-  runs.forEach((one, i) => { if (one.controller === "own" && !one.ended) end(i); });  // a law may never come back
+  runs.forEach((one, i) => { if (one.controller === "own" && !one.ended) end(i); });  // a law may never return
   const waits = (controller) => controller === "own" && state.law !== started;
   runs = state.shown.map((controller) => ({ controller, rows: [], ended: waits(controller) ? "Waits for Run." : null, fault: null, number, begun: performance.now() }));
   runs.forEach((one, i) => { if (!one.ended) worker(i).postMessage({ number, settings: asked(one.controller) }); });
@@ -181,7 +181,7 @@ async function committedRun(figure, controller) {
   return numbersOf.get(key);
 }
 
-/* Values of rows at a grid of coordinates, straight lines between rows; null beyond them. */
+/* Interpolate values linearly at a grid of coordinates; null beyond the rows. */
 function onGrid(grid, p, values) {
   let k = 0;
   return grid.map((x) => {
@@ -236,7 +236,7 @@ function table(before) {
   const text = (x, digits) => (Number.isFinite(x) ? x.toFixed(digits) : "");
   byId("scores").tBodies[0].replaceChildren(...runs.map((one, i) => {
     const row = document.createElement("tr"), found = one.rows.length > MARGIN ? score(one.rows) : {};
-    let said = one.fault ? (one.controller === "own" ? "The law failed." : "The run failed.") : one.ended ?? "driving …";
+    let said = one.fault ? (one.controller === "own" ? "The law failed." : "The run failed.") : one.ended ?? "running …";
     if (one.ended && one.seconds && one.rows.length && !one.fault) {
       said += ` ${(one.rows.at(-1)[0] / one.seconds).toFixed(1)} times real time.`;
       if (isCommitted(one) && before[i]) said += before[i].y.every((y, k) => one.rows[k]?.[col.y] === y) ? " Equal to the committed run." : " Differs from the committed run.";
@@ -249,7 +249,7 @@ function table(before) {
   }));
 }
 
-/* Both running gears from above: a millimetre aside as long as a metre along, yaw angles 100 times. */
+/* Both running gears from above: 1 mm to the side is as long as 1 m along the track; yaw angles are 100 times as large. */
 function plan() {
   const canvas = byId("plan"), pen = canvas.getContext("2d"), rows = runs[0]?.rows ?? [];
   canvas.width = canvas.clientWidth * devicePixelRatio, canvas.height = canvas.clientHeight * devicePixelRatio;
