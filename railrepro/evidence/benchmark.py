@@ -155,12 +155,13 @@ def name_of(of: str | Path | type) -> str:
 
 def load_class(file: Path) -> type:
     """Run a Python file and return its only class with a method `torque` or `plan`; InputError for none or several."""
-    defined = [thing for thing in runpy.run_path(str(file), run_name=_MODULE).values() if isinstance(thing, type)]
-    own = [each for each in defined if each.__module__ == _MODULE]
-    found = [each for each in own if hasattr(each, "torque") or hasattr(each, "plan")]
-    if len(found) != 1:
-        raise InputError(f"one class with `torque` or with `plan` is needed, found {[each.__name__ for each in found]}")
-    return found[0]
+    content = runpy.run_path(str(file), run_name=_MODULE).values()
+    classes = [each for each in content if isinstance(each, type) and each.__module__ == _MODULE]
+    fitting = [each for each in classes if hasattr(each, "torque") or hasattr(each, "plan")]
+    if len(fitting) != 1:
+        names = [each.__name__ for each in fitting]
+        raise InputError(f"one class with `torque` or with `plan` is needed, found {names}")
+    return fitting[0]
 
 
 def made(controller: type, settings: Mapping[str, float]) -> lateral.Guidance:
@@ -213,9 +214,7 @@ def _driven(of: Path | type, case: Experiment) -> dict:
         controller = load_class(of) if isinstance(of, Path) else of
         tuned = getattr(controller, "tuned", {})
         if set(tuned) - {*SETTINGS}:
-            raise InputError(
-                f"{controller.__name__}: `tuned` has the settings {sorted(tuned)}, there are {[*SETTINGS]}"
-            )
+            raise InputError(f"{controller.__name__}: `tuned` has the settings {[*tuned]}, there are {[*SETTINGS]}")
         run = replace(case, controller=_registered(controller), parameters=tuned.get(case.setting, {}))
         return _row(run.run(), run)[0]
     except BaseException as error:  # a user's controller may raise anything
@@ -370,10 +369,9 @@ def tuning_cost(of: type, setting: str, runs: Sequence[str]) -> Callable[[list[d
 def main(controller: str, seed: int = PUBLISHED, ranked: bool = False) -> None:
     """Command `score`: score a controller with one seed, print its `card` and write its table to build/score.
 
-    `controller` is a registered name or a Python file. With `ranked` the seeds are those of `ranked_seeds` in place of
-    `seed`, and the row of `ranking` is printed. A file runs in processes of its own, but with all
-    rights of the user; a line says so before it starts. InputError as from `drive`, and for a controller that cannot
-    be driven at all.
+    `controller` is a registered name or a Python file. With `ranked` it is scored with `ranked_seeds` in place of
+    `seed`, and its row of `ranking` is printed. A file runs in processes of its own, but with all rights of the user;
+    a line says so before it starts. InputError as from `drive`, and for a controller that cannot drive at all.
     """
     of, begin = entry(controller), time.perf_counter()
     data.require("seed", seed, data.between(0, 2**31), whole=True)

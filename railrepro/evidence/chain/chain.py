@@ -158,10 +158,9 @@ def last_run(notebook: Notebook) -> dict[str, dict]:
     Keys: reads, minutes and memory_gb as in `Ran`; inputs (their state then, see `inputs`); machine (`store.machine`);
     products (path of each written file -> SHA-256).
     """
-    try:
+    with suppress(InputError):
         return data.read(notebook.stamp)
-    except InputError:
-        return {}
+    return {}
 
 
 def why_stale(notebook: Notebook) -> str:
@@ -312,16 +311,13 @@ def _is_committed(notebook: Notebook, parameters: dict, taken: Reads, root: Path
 
 def _fault(notebook: Notebook, taken: Reads, staging: Path, false: list[str]) -> str:
     """What is wrong with a run that reached its end, or ""; `false` are its false sentences with committed values."""
-    if false:
-        return f"does not hold with the committed values: {' | '.join(false)}"
-    for product in notebook.products:
-        if not (staging / product).exists():
-            return f"did not write {product}, which chain.toml declares"
     makers = _makers()
-    for file in taken:
-        if file in makers:
-            return f"reads {file}, which {makers[file]} writes: notebooks do not wait for each other"
-    return ""
+    faults = [f"does not hold with the committed values: {' | '.join(false)}"] if false else []
+    missing = [product for product in notebook.products if not (staging / product).exists()]
+    faults += [f"did not write {product}, which chain.toml declares" for product in missing]
+    foreign = [f"{file}, which {makers[file]} writes" for file in taken if file in makers]
+    faults += [f"reads {product}: notebooks do not wait for each other" for product in foreign]
+    return faults[0] if faults else ""
 
 
 def refresh(notebook: Notebook) -> Ran:
@@ -359,9 +355,7 @@ def figures(names: Sequence[str] = ()) -> int:
             _say(f"{name} is stale: {why}")
         failed = _run_all(stale, refresh)
         _write_manifests(wanted - failed.keys())
-    for notebook in [notebooks[name] for name in sorted(wanted) if notebooks[name].executed.is_file()]:
-        for sentence in false_in(data.read(notebook.executed)["cells"]):
-            _say(f"{notebook.name}: does not hold with these values: {sentence}")
+    _say_false([notebooks[name].executed for name in sorted(wanted)], "with these values")
     return int(bool(failed))
 
 
@@ -399,6 +393,13 @@ def _say(words: str) -> None:
     print(words + "\n", end="", file=sys.stderr, flush=True)  # in one piece, as several notebooks print
 
 
+def _say_false(executed: list[Path], where: str) -> None:
+    """Print the sentences that do not hold in those executed notebooks that exist."""
+    for file in filter(Path.is_file, executed):
+        for sentence in false_in(data.read(file)["cells"]):
+            _say(f"{file.stem}: does not hold {where}: {sentence}")
+
+
 def _write_manifests(names: Collection[str]) -> None:
     """Enter the products of some notebooks into data/MANIFEST.csv and figures/MANIFEST.csv; other rows stay."""
     notebooks, maker = chain(), _makers()
@@ -431,9 +432,7 @@ def drive(vehicle: Path) -> int:
     write(root / "data/vehicle.toml", vehicle.read_bytes())
     names = [name for name in chain() if name < "10"]
     failed = _run_all(names, lambda one: run(one, one.parameters, root))
-    for name in [name for name in names if name not in failed]:
-        for sentence in false_in(data.read(root / f"notebooks/{name}.ipynb")["cells"]):
-            _say(f"{name}: does not hold on this car: {sentence}")
+    _say_false([root / f"notebooks/{name}.ipynb" for name in names if name not in failed], "on this car")
     _say(f"figures and executed chapters are in {root}")
     return int(bool(failed))
 
