@@ -7,26 +7,14 @@ import types
 
 import psutil
 import pytest
-from chapters import CELLS, write_notebook
+from chapters import CELLS, write_chain, write_notebook
 
 from railrepro import code, paths
 from railrepro.data import InputError
 from railrepro.evidence.chain import chain
 from railrepro.studies import store
 
-SCENARIOS, IMPORT, VALUE = "data/scenarios.toml", *CELLS[:2]
-
-
-def notebook():
-    return chain.chain()["01_tiny"]
-
-
-def write_chain(folder, contents):
-    """Write notebooks with one cell each, as name -> text; each declares the product data/NAME."""
-    entries = [f'[[notebook]]\nname = "{name}"\ntitle = "x"\nwrites = ["data/{name}"]\n' for name in contents]
-    (folder / "notebooks/chain.toml").write_text("".join(entries))
-    for name, text in contents.items():
-        write_notebook(folder / "notebooks", [IMPORT, VALUE, text], name)
+SCENARIOS, HEAD = "data/scenarios.toml", CELLS[:2]
 
 
 def test_products_appear_once_and_again_when_deleted_or_changed(tiny, capfd):
@@ -46,7 +34,7 @@ def test_products_appear_once_and_again_when_deleted_or_changed(tiny, capfd):
     executed = (tiny / "build/notebooks/01_tiny.ipynb").read_bytes()
     chain.figures(["01"])
     assert product.exists() and (tiny / "build/notebooks/01_tiny.ipynb").read_bytes() == executed
-    chain.run(notebook(), {"value": 5}, tiny / "elsewhere")
+    chain.run(chain.chain()["01_tiny"], {"value": 5}, tiny / "elsewhere")
     assert (tiny / "elsewhere/data/results/out.csv").read_text() == "a\n5\n", "the parameter of this run"
     assert product.read_text() == "a\n1\n"
 
@@ -59,10 +47,10 @@ def test_products_appear_once_and_again_when_deleted_or_changed(tiny, capfd):
     ],
 )
 def test_failures_name_the_place_and_leave_the_old_product(tiny, last, sentence):
-    chain.refresh(notebook())
-    write_notebook(tiny / "notebooks", [IMPORT, VALUE, last])
+    chain.refresh(chain.chain()["01_tiny"])
+    write_notebook(tiny / "notebooks", [*HEAD, last])
     with pytest.raises(InputError, match=f"01_tiny: {sentence}"):
-        chain.refresh(notebook())
+        chain.refresh(chain.chain()["01_tiny"])
     assert (tiny / "build/notebooks/01_tiny.failed.ipynb").exists()
     assert (tiny / "data/results/out.csv").read_text() == "a\n1\n"
 
@@ -71,19 +59,15 @@ def test_the_memory_of_a_notebook_is_that_of_its_kernel_and_of_what_that_starts(
     child = "hog = bytearray(3 * 10**8); hog[::4096] = b'x' * len(hog[::4096]); import time; time.sleep(1)"
     started = f"import subprocess, sys\nsubprocess.run([sys.executable, '-c', {child!r}])"
     write_notebook(tiny / "notebooks", [*CELLS, started])
-    ran = chain.refresh(notebook())
+    ran = chain.refresh(chain.chain()["01_tiny"])
     assert 0.35 < ran.memory_gb < 0.8 and ran.minutes > 1 / 60
-    assert chain.last_run(notebook())["memory_gb"] == ran.memory_gb
+    assert chain.last_run(chain.chain()["01_tiny"])["memory_gb"] == ran.memory_gb
 
 
 def test_a_notebook_reads_no_product_of_another_and_one_that_fails_stops_no_other(tiny, capfd):
     writes, reads = "paths.product('data/{}').write_text('a\\n1\\n')\n", "open(paths.source('data/{}')).read()\n"
-    contents = {
-        "01_a": writes.format("01_a"),
-        "02_b": reads.format("01_a") + writes.format("02_b"),
-        "03_c": "1 / 0",
-        "04_d": writes.format("04_d") + reads.format("04_d") + reads.format("in.txt"),
-    }
+    contents = {"01_a": writes.format("01_a"), "02_b": reads.format("01_a") + writes.format("02_b"), "03_c": "1 / 0"}
+    contents["04_d"] = writes.format("04_d") + reads.format("04_d") + reads.format("in.txt")
     write_chain(tiny, contents)
     for name in ("01_a", "in.txt"):
         (tiny / "data" / name).write_text("0")
@@ -122,36 +106,36 @@ def test_only_the_entries_that_a_chapter_reads_make_it_stale(tiny):
 def test_an_input_that_is_edited_while_a_chapter_runs_makes_it_stale(tiny):
     (tiny / "data/in.txt").write_text("1")
     edit = "import time\nfile = paths.ROOT / 'data/in.txt'\nfile.read_text()\ntime.sleep(0.1)\nfile.write_text('2')\n"
-    write_notebook(tiny / "notebooks", [IMPORT, VALUE, edit + CELLS[2]])
+    write_notebook(tiny / "notebooks", [*HEAD, edit + CELLS[2]])
     assert chain.figures() == 0
-    assert chain.why_stale(notebook()) == chain.EDITED and not (tiny / "data/MANIFEST.csv").exists()
+    assert chain.why_stale(chain.chain()["01_tiny"]) == chain.EDITED and not (tiny / "data/MANIFEST.csv").exists()
 
 
 def test_a_stale_chapter_names_what_changed(tiny, monkeypatch):
     monkeypatch.setattr(store, "machine", store.machine.__wrapped__)
     monkeypatch.delenv("RAILREPRO_CFLAGS", raising=False)
-    tried, known = notebook(), code._source_hash
-    assert chain.why_stale(tried) == "it has not run here"
+    notebook, known = chain.chain()["01_tiny"], code._source_hash
+    assert chain.why_stale(notebook) == "it has not run here"
     chain.figures()
-    state = chain.inputs(tried, {})
-    assert chain.why_stale(tried) == ""
+    state = chain.inputs(notebook, {})
+    assert chain.why_stale(notebook) == ""
     for file, text, why in (
         (tiny / "data/results/out.csv", "other", "data/results/out.csv was changed or is missing"),
-        (tried.path, tried.path.read_text().replace("value = 1", "value = 2"), "its cells"),
-        (tried.stamp, "{", "it has not run here"),
+        (notebook.path, notebook.path.read_text().replace("value = 1", "value = 2"), "its cells"),
+        (notebook.stamp, "{", "it has not run here"),
     ):
         before = file.read_text()
         file.write_text(text)
-        assert chain.why_stale(tried) == why
+        assert chain.why_stale(notebook) == why
         file.write_text(before)
     with monkeypatch.context() as patch:
         patch.setattr(code, "_source_hash", lambda name: "other" if name == "railrepro/paths.py" else known(name))
-        assert chain.why_stale(tried) == "railrepro/paths.py"
+        assert chain.why_stale(notebook) == "railrepro/paths.py"
     monkeypatch.setenv("OPENBLAS_CORETYPE", "Nehalem")
-    assert chain.why_stale(tried) == "environment OPENBLAS_CORETYPE"
-    assert chain.inputs(tried, {}) == state, "the machine is no part of a manifest"
+    assert chain.why_stale(notebook) == "environment OPENBLAS_CORETYPE"
+    assert chain.inputs(notebook, {}) == state, "the machine is no part of a manifest"
     monkeypatch.setattr(code, "packages", lambda: {"numpy": "another one"})
-    assert chain.inputs(tried, {}) != state
+    assert chain.inputs(notebook, {}) != state
 
 
 def test_committed_notebooks_are_in_the_chain_and_clean():
