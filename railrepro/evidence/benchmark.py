@@ -139,9 +139,7 @@ def entry(controller: str) -> str | Path:
 
 def ranked_seeds(of: str | Path) -> tuple[int, ...]:
     """Seeds that rank a controller of `entry`: `RANKED` for a registered name, else as many from the file's SHA-256.
-
-    Nobody knows the seeds of a file before its last change. Its line endings do not count.
-    """
+    Nobody knows the seeds of a file before its last change. Its line endings do not count."""
     if isinstance(of, str):
         return RANKED
     digest = hashlib.sha256(_SALT + of.read_bytes().replace(b"\r\n", b"\n")).digest()
@@ -244,10 +242,8 @@ def _row(run: Run, of: Experiment) -> store.Entry:
 
 
 def cost(row: dict) -> float:
-    """Cost J (-) of a run that did not fail, see the head of this module, from its row of `drive`.
-
-    It is inf where a metric is not finite.
-    """
+    """Cost J (-) of a run that did not fail, see the head of this module, from its row of `drive`. It is inf where a
+    metric is not finite."""
     unused = 1 - min(row["utilisation"], 1.0) if np.isfinite(row.get("utilisation", np.nan)) else 0.0
     unsafe = max(row["y_over_q"] / Y_OVER_Q_LIMIT, row["sum_y_over_limit"])
     value = row["error"] / 1e-3 + row["effort_du"] / 4e3 + max(0.0, row["activity_du"] / 500 - 1)
@@ -402,11 +398,9 @@ def main(controller: str, seed: int = PUBLISHED, ranked: bool = False) -> None:
 
 
 def leaderboard() -> None:
-    """Command `leaderboard`: score `SHOWN`, no guidance and two of examples/ on 6 seeds.
-
-    Writes `LEADERBOARD` (tables of `card`) and prints the `ranking`. Inversions have the poles of the swarm in both
-    settings, as the other controllers have its weights.
-    """
+    """Command `leaderboard`: score `SHOWN`, no guidance and two of examples/ on 6 seeds. Writes `LEADERBOARD` (tables
+    of `card`) and prints the `ranking`. Inversions have the poles of the swarm in both settings, as the other
+    controllers have its weights."""
     shown = [f"{name}_swarm" if name in INVERSIONS else name for name in SHOWN]
     entries = [*shown, NOTHING, *(paths.ROOT / f"examples/{name}.py" for name in ("only_y", "pid"))]
     cards = pd.concat([card(score(of, (PUBLISHED, *RANKED))) for of in entries], ignore_index=True)

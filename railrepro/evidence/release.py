@@ -31,11 +31,9 @@ FIGURES = {
 
 
 def exchanged(scenario: Scenario, controller: str) -> pd.DataFrame:
-    """Simulate a controller with its tuned set of the setting `paper`; returns one row per millisecond.
-
-    `controller` is a key of `registry.CONTROLLERS` or `TEN_TIMES`. Columns: t_s (s), torque commands of the wheels as
-    inputs of the FMU (N m), lateral displacements front.y and rear.y (m).
-    """
+    """Simulate a controller with its tuned set of the setting `paper`; returns one row per millisecond. `controller` is
+    a key of `registry.CONTROLLERS` or `TEN_TIMES`. Columns: t_s (s), torque commands of the wheels as inputs of the FMU
+    (N m), lateral displacements front.y and rear.y (m)."""
     name, factor = ("nmpc", 10.0) if controller == TEN_TIMES else (controller, 1.0)
     tuned = parameters(name)
     series = Experiment(scenario, name, parameters=with_r_times(tuned, factor) if "r" in tuned else tuned).run().series

@@ -11,7 +11,7 @@ import pytest
 from railrepro import __main__ as command
 from railrepro import __version__, paths
 from railrepro.evidence import benchmark
-from railrepro.evidence.benchmark import NOTHING, cases, drive, entry, known
+from railrepro.evidence.benchmark import NOTHING, cases, drive, known
 from railrepro.track.route import INDEX, Route
 from railrepro.vehicle.parameters import sample_ranges
 
@@ -79,10 +79,18 @@ def test_a_file_harms_nothing_but_its_own_process(text, said, tmp_path, monkeypa
     assert len(rest) == 1 and rest[0].startswith("error: own.py") and said in rest[0]
 
 
-def test_the_template_is_driven_with_the_numbers_of_its_setting():
-    paper, loop = (drive(entry(PID), short(setting)) for setting in ("paper", "loop"))
-    assert (paper["failure"], loop["failure"]) == ("", "")
-    assert loop["rmse_y"] > 1.2 * paper["rmse_y"]
+def test_a_class_gets_the_numbers_of_its_setting():
+    class Constant:
+        tuned = {"paper": {"du": 50.0}}
+
+        def __init__(self, du=0.0):
+            self.du = du
+
+        def torque(self, q):
+            return self.du
+
+    paper, loop = (drive(Constant, short(setting))["effort_du"] for setting in ("paper", "loop"))
+    assert paper == pytest.approx(50.0, rel=0.1) and loop == 0.0
 
 
 def test_a_controller_knows_neither_friction_nor_irregularities():

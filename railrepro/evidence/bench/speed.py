@@ -60,10 +60,8 @@ class Recorder(NMPC):
 
 
 def record(name: str, settings: MPCSettings, vehicle: Vehicle, count: int = WINDOW) -> Recording:
-    """Simulate a scenario under NMPC with `settings` and record `count` problems from the middle of the run on.
-
-    `name` is the scenario in data/scenarios.toml; braking ends after 500 m.
-    """
+    """Simulate a scenario under NMPC with `settings` and record `count` problems from the middle of the run on. `name`
+    is the scenario in data/scenarios.toml; braking ends after 500 m."""
     scenario = scenarios.load_scenario(name)
     if name == "braking":
         scenario = scenario.but(end_m=500.0)
@@ -99,16 +97,16 @@ def solve_all(kind: str, recording: Recording, vehicle: Vehicle) -> tuple[np.nda
     return np.array(torques), seconds, iterations, solver.fallbacks
 
 
-def solve_times(vehicle: Vehicle, settings: MPCSettings, names=SCENARIOS) -> pd.DataFrame:
+def solve_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
     """Compare the solvers `KINDS` on recorded problems: one row per solver and recording.
 
-    Each scenario of `names` is recorded under NMPC with `settings`, and gives two recordings: as it is, and
-    `tightened`. Columns: solver; scenario; n, number of problems; median_ms, p95_ms and max_ms, time per problem (ms);
+    Each of `SCENARIOS` is recorded under NMPC with `settings` and gives two recordings: as it is, and `tightened`.
+    Columns: solver; scenario; n, number of problems; median_ms, p95_ms and max_ms, time per problem (ms);
     iterations_median; ratio_to_ipopt, of the median times (-); failures, number of problems without a solution;
     largest_torque_difference, from the torques of ipopt over the torque limit (-).
     """
     rows = []
-    plain = [record(name, settings, vehicle) for name in names]
+    plain = [record(name, settings, vehicle) for name in SCENARIOS]
     recordings = [recording for one in plain for recording in (one, tightened(one))]
     for recording in tqdm(recordings, desc="solvers", unit="scenario"):
         solved = {kind: solve_all(kind, recording, vehicle) for kind in KINDS}
@@ -125,7 +123,6 @@ def solve_times(vehicle: Vehicle, settings: MPCSettings, names=SCENARIOS) -> pd.
 
 def horizon_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
     """Solution times on curve entry T3 for horizons of 10 to 160 steps: one row per solver and length of the horizon.
-
     `settings` are those of NMPC except steps. Columns solver, steps, and per problem median_ms and iterations_median.
     """
     rows = []

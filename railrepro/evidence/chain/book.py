@@ -17,11 +17,9 @@ _SAVED = re.compile(r"save_figure\([^\n]*?[\"'](fig\d\d_\w+)[\"']")
 
 
 def html() -> Path:
-    """Make the book in build/html from the executed notebooks; returns the path of its first page.
-
-    Notebooks without an executed copy are run first; stale ones are shown as last executed. InputError when a notebook
-    fails, Sphinx warns or its packages are missing.
-    """
+    """Make the book in build/html from the executed notebooks; returns the path of its first page. Notebooks without an
+    executed copy are run first; stale ones are shown as last executed. InputError when a notebook fails, Sphinx warns
+    or its packages are missing."""
     absent = [notebook.name for notebook in chain().values() if not notebook.executed.exists()]
     if absent and figures(absent):
         raise InputError("the book needs every notebook executed, see the lines above")

@@ -120,11 +120,9 @@ def _content(file: str) -> bytes:
 
 
 def inputs(notebook: Notebook, taken: Reads) -> dict[str, str]:
-    """Present state of the inputs of a notebook, except the machine (`store.machine`): name -> hash or version.
-
-    Inputs are its cells, its parameters, files that it read, packages, and modules of railrepro that it can import.
-    `taken` maps files to the entries that its last run read from them, as returned by `run`.
-    """
+    """Present state of the inputs of a notebook, except the machine (`store.machine`): name -> hash or version. Inputs
+    are its cells, its parameters, files that it read, packages, and modules of railrepro that it can import. `taken`
+    maps files to the entries that its last run read from them, as returned by `run`."""
     cells = data.read(notebook.path)["cells"]
     state = {"its cells": _hash(json.dumps(["".join(cell["source"]) for cell in cells]).encode())}
     state["its parameters"] = _hash(json.dumps(notebook.parameters, sort_keys=True).encode())
@@ -153,11 +151,9 @@ def _products(notebook: Notebook) -> dict[str, str]:
 
 
 def last_run(notebook: Notebook) -> dict[str, dict]:
-    """Record of the last successful run of a notebook in this checkout; {} if there is none.
-
-    Keys: reads, minutes and memory_gb as in `Ran`; inputs (their state then, see `inputs`); machine (`store.machine`);
-    products (path of each written file -> SHA-256).
-    """
+    """Record of the last successful run of a notebook in this checkout; {} if there is none. Keys: reads, minutes and
+    memory_gb as in `Ran`; inputs (their state then, see `inputs`); machine (`store.machine`); products (path of each
+    written file -> SHA-256)."""
     with suppress(InputError):
         return data.read(notebook.stamp)
     return {}
@@ -206,10 +202,8 @@ def _kernel(staging: Path) -> type:
 
 
 def _peak_memory(staging: Path, ended: threading.Event) -> int:
-    """Largest memory (bytes) of the kernel in `staging` with all processes that it starts, sampled until `ended`.
-
-    Pages that processes share count in each of them, so the sum is an upper bound.
-    """
+    """Largest memory (bytes) of the kernel in `staging` with all processes that it starts, sampled until `ended`. Pages
+    that processes share count in each of them, so the sum is an upper bound."""
     import psutil
 
     peak = 0
@@ -223,10 +217,8 @@ def _peak_memory(staging: Path, ended: threading.Event) -> int:
 
 
 def _execute(notebook: Notebook, parameters: dict, staging: Path) -> tuple[Any, str, int]:
-    """Run a notebook with papermill; its content with outputs, what failed or "", and its peak memory (bytes).
-
-    The content lacks what differs between equal runs, such as times and progress bars.
-    """
+    """Run a notebook with papermill; its content with outputs, what failed or "", and its peak memory (bytes). The
+    content lacks what differs between equal runs, such as times and progress bars."""
     import nbformat
     import papermill
 
@@ -422,11 +414,9 @@ def _write_manifests(names: Collection[str]) -> None:
 
 
 def drive(vehicle: Path) -> int:
-    """Command `drive`: run the notebooks 00 to 09 with another car; results are written to build/tried/NAME.
-
-    `vehicle` is a file NAME.toml like data/vehicle.toml. Committed files stay as they are. Prints which sentences of
-    the notebooks do not hold on this car; returns 1 when a notebook failed, else 0.
-    """
+    """Command `drive`: run the notebooks 00 to 09 with another car; results are written to build/tried/NAME. `vehicle`
+    is a file NAME.toml like data/vehicle.toml. Committed files stay as they are. Prints which sentences of the
+    notebooks do not hold on this car; returns 1 when a notebook failed, else 0."""
     load_vehicle(vehicle)
     root = paths.BUILD / "tried" / vehicle.stem
     write(root / "data/vehicle.toml", vehicle.read_bytes())
@@ -439,9 +429,7 @@ def drive(vehicle: Path) -> int:
 
 def verify() -> int:
     """Command `verify`: rerun all notebooks in build/verify and print how products differ from the committed ones.
-
-    Returns 1 when a notebook fails or a product differs by more than its tolerance, else 0.
-    """
+    Returns 1 when a notebook fails or a product differs by more than its tolerance, else 0."""
     os.environ[store.FOLDER] = "off"  # a rerun computes
     root = paths.BUILD / "verify"
     shutil.rmtree(root, ignore_errors=True)

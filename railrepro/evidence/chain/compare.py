@@ -18,10 +18,8 @@ _SHARE = Annotated[Number, between(0.0, 1.0)]
 
 @data.table
 class Own:
-    """Tolerance for one column of a table, an entry [[verify.own]] of notebooks/chain.toml.
-
-    `table` is a file name, `rows` a query of pandas for the rows, `relative` the tolerance (-), `why` its reason.
-    """
+    """Tolerance for one column of a table, an entry [[verify.own]] of notebooks/chain.toml. `table` is a file name,
+    `rows` a query of pandas for the rows, `relative` the tolerance (-), `why` its reason."""
 
     table: str
     column: str

@@ -23,8 +23,8 @@ _CONTRACT = {FRAGILE: PARTLY, TIE: NOT}
 """Verdicts of the column `judged` that the column `verdict` of claims.csv does not have -> the ones it has."""
 
 
-def evaluate(nominal: Nominal | None = None) -> pd.DataFrame:
-    """Judge all statements by stored metrics (default `Nominal()`): one row per statement and setting of comparison.
+def evaluate(nominal: Nominal) -> pd.DataFrame:
+    """Judge all statements by stored metrics: one row per statement and setting of comparison.
 
     A reproduced statement is fragile when the lower 95 % limit of its share of sampled cars is at most 0.5. Columns:
 
@@ -35,7 +35,6 @@ def evaluate(nominal: Nominal | None = None) -> pd.DataFrame:
     - share, share_low, share_high: share of sampled cars on which it holds (-), with its 95 % limits;
     - calibrated: whether it holds on the calibrated car: "yes", "no", or "" where that was not judged.
     """
-    nominal = nominal or Nominal()
     robust = shares(nominal.results("robustness_samples")).set_index(["id", "setting"])
     calibrated = nominal.on_calibrated_car()
     findings = {setting: statements.findings(nominal.evidence(setting)) for setting in (*nominal.settings(), "")}
@@ -58,11 +57,9 @@ def evaluate(nominal: Nominal | None = None) -> pd.DataFrame:
 
 
 def headline(rows: pd.DataFrame) -> str:
-    """Headline verdict of one statement: the one in the setting `paper`, or the one without a setting.
-
-    `rows` are the rows of one id from `evaluate`. Returns `NO_VERDICT` for an entry whose kind is not "statement", and
-    `UNTESTABLE` without such a row.
-    """
+    """Headline verdict of one statement: the one in the setting `paper`, or the one without a setting. `rows` are the
+    rows of one id from `evaluate`. Returns `NO_VERDICT` for an entry whose kind is not "statement", and `UNTESTABLE`
+    without such a row."""
     if set(rows["kind"]) != {"statement"}:
         return NO_VERDICT
     counts = rows[rows["setting"].isin(("", HEADLINE))]["judged"]

@@ -29,10 +29,8 @@ def model_variants(scenarios: Sequence[Scenario], variants: Sequence[str]) -> pd
 
 
 def linearisations(scenarios: Sequence[Scenario]) -> pd.DataFrame:
-    """Simulate NMPC, LTV-MPC with the corrected linearisation and LTV-MPC with the printed one (erratum D6).
-
-    All have the weights of NMPC in the setting `paper`. Columns scenario, controller, flange and metrics as above.
-    """
+    """Simulate NMPC, LTV-MPC with the corrected linearisation and LTV-MPC with the printed one (erratum D6). All have
+    the weights of NMPC in the setting `paper`. Columns scenario, controller, flange and metrics as above."""
     weights, controllers = parameters("nmpc"), ("nmpc", "ltv_mpc", "ltv_mpc_printed")
     runs = [Experiment(s, name, parameters=weights) for s, name in product(scenarios, controllers)]
     return _table(runs, "LTV against NMPC")

@@ -84,12 +84,11 @@ def flips(answered: Mapping[str, Question]) -> pd.DataFrame:
 
 
 def main(settings: Sequence[str] = ()) -> None:
-    """Command `probe`: simulate what the statements need in `settings`, columns of verdicts (default all).
-
-    With the path of a filled copy of data/answers.toml, print the statements whose verdict its answers change.
-    """
+    """Command `probe`: simulate what the statements need in `settings`, columns of verdicts (default all). With the
+    path of a filled copy of data/answers.toml, print the statements whose verdict its answers change."""
     if not settings or not settings[0].endswith(".toml"):
-        return probe.main(settings)
+        probe.main(settings)
+        return
     answered = {name: question for name, question in load(settings[0]).items() if question.answer}
     if not answered:
         raise InputError(f"{Path(settings[0]).name}: has no answer")
@@ -98,4 +97,3 @@ def main(settings: Sequence[str] = ()) -> None:
     print(f"{len(answered)} answers, {len(verdicts)} statements judged again, {len(flipped)} verdicts flip:")
     for row in flipped.itertuples():
         print(f"  {row.id}: {row.before} -> {row.after} ({row.statement})")
-    return None

@@ -56,9 +56,7 @@ def theses() -> dict[str, Thesis]:
 
 def main() -> int:
     """Command `report`: judge the statements; write claims.csv and the texts that are made of templates in data/.
-
-    Returns 1 when a sentence of data/theses.toml is not true, else 0.
-    """
+    Returns 1 when a sentence of data/theses.toml is not true, else 0."""
     nominal = Nominal()
     page = Page(claims.evaluate(nominal), nominal)
     write(paths.product(claims.FILE), page.contract().to_csv(index=False, float_format="%.4g"))
@@ -144,10 +142,8 @@ class Page:
         return {name: conditions for name, conditions in wrong.items() if conditions}
 
     def sentences(self, role: str) -> list[tuple[list[str], str]]:
-        """True sentences of a role (`Thesis.role`) as pairs (ids, text).
-
-        `ids` are the statements that the sentence explains and whose headline verdict is not "reproduced".
-        """
+        """True sentences of a role (`Thesis.role`) as pairs (ids, text). `ids` are the statements that the sentence
+        explains and whose headline verdict is not "reproduced"."""
         true = [thesis for thesis in theses().values() if thesis.role == role and all(map(self.true, thesis.true))]
         failing = [i for i, verdict in self.statements.items() if verdict != REPRODUCED]
         return [([i for i in thesis.of if i in failing], self.text(thesis.says)) for thesis in true]
@@ -183,9 +179,7 @@ class Page:
 
     def cell(self, name: str, column: str, **where):
         """Value in `column` of the only row of data/results/NAME.csv whose columns have the values `where`.
-
-        MissingEvidence without such a file, or unless there is exactly one such row.
-        """
+        MissingEvidence without such a file, or unless there is exactly one such row."""
         table = self.table(name)
         rows = table.loc[np.logical_and.reduce([table[key] == value for key, value in where.items()]), column]
         if len(rows) != 1:
@@ -224,9 +218,7 @@ def quantity(value: float, unit: str = "") -> str:
 
 def linked(value: float | str, table: str, unit: str = "") -> str:
     """Markdown link "[value](path of table)"; `value` is a text, or an SI number that `quantity` shows in `unit`.
-
-    `table` is a name in data/results or a path; without it, or for a `value` NaN, the text has no link.
-    """
+    `table` is a name in data/results or a path; without it, or for a `value` NaN, the text has no link."""
     shown = value if isinstance(value, str) else quantity(float(value), unit)
     path = table if "/" in table else f"data/results/{table}.csv"
     return f"[{shown}]({path})" if table and shown != UNKNOWN else shown

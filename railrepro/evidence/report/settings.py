@@ -23,10 +23,8 @@ CASES: dict[str, tuple[str, str, float, dict]] = {
     "adhesion_loss_stressed": ("poor rail, stressed", "adhesion_loss", 700, {"plant": {"drive.lag": 7.5e-3}}),
 }
 """Name of a case -> title, scenario, length of the run (m), further fields of `Experiment`."""
-_UNITS = {
-    **{"rmse_y": "m", "followed_rmse_y": "m", "effort_du": "N m", "activity_du": "N m"},
-    **{"largest_error": "m", "utilisation": "-", "failed_at_m": "m"},
-}
+_UNITS = {"rmse_y": "m", "followed_rmse_y": "m", "effort_du": "N m", "activity_du": "N m"}
+_UNITS |= {"largest_error": "m", "utilisation": "-", "failed_at_m": "m"}
 
 
 def experiments(
@@ -61,10 +59,8 @@ def experiments(
 
 def metrics(table: pd.DataFrame) -> pd.DataFrame:
     """Tidy table of settings_metrics.csv, one row per run and metric, from the table of `run_all` of `experiments`.
-
     Columns: scenario (the case), controller, metric, value (in `unit`), unit, setting, swarm (its seed), seed (of the
-    sensors).
-    """
+    sensors)."""
     keys = ["scenario", "controller", "setting", "swarm", "seed"]
     wide = table.drop(columns="scenario").rename(columns={"case": "scenario"}).reindex(columns=[*keys, *_UNITS])
     tidy = wide.melt(keys, var_name="metric").dropna()
