@@ -4,16 +4,16 @@ The cost of a run is
 
     J = e / 1 mm + T / 4 kN m + max(0, A / 0.5 kN m - 1) + 2 (1 - u) + 10 max(0, s - 1).
 
-For the front gear e is the RMS lateral error (with sensors relative to the rails as they lie), T the RMS differential
+For the front gear e is the RMS lateral error (with sensors: relative to the irregular rails), T the RMS differential
 torque, A its part above 5 Hz. u is the adhesion utilisation where the demand exceeds the adhesion limit, else 1. s is
 the larger of Y/Q over 0.8 and the track shifting force over its limit. With q = 1 / (1 + J) the points of a run are
 
     100 (q - q_0) / (q_l - q_0), between 0 and 100,
 
 with q_0 of a car without guidance in the same run (0 where that derails) and q_l of the limit (`ends_of_the_scale`). A
-failed run has no points. The runs with more delay or a slower drive count as one. The score is the mean over runs, and
-then over settings. A seed draws sensors, irregularities and cars. The published seed is for development; a file is
-ranked by seeds that follow from its own content (`ranked_seeds`).
+failed run has no points. The runs with more delay or a slower drive count as one. The score is the mean over runs, then
+over settings. A seed determines sensor noise, irregularities and cars. The published seed is for development; a file is
+ranked by seeds that follow from its content (`ranked_seeds`).
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ _LARGEST = ("y_over_q", "sum_y_over_limit", "wheel_unloading")
 
 
 def cases(seed: int, names: Sequence[str] | None = None) -> list[Experiment]:
-    """Runs of the suite, as experiments without guidance in which `drive` puts a controller.
+    """Make the runs of the suite, as experiments without guidance into which `drive` puts a controller.
 
     Each run occurs in both settings: in "paper" with exact measurements, in "loop" with sensors. `seed` (0 to 2^31)
     determines sensor noise and biases, irregularities and the values of the parameters `MISMATCH`. `names` selects runs
@@ -128,7 +128,7 @@ def _runs(seed: int) -> list[tuple[str, str, int, Scenario, dict]]:
 
 
 def entry(controller: str) -> str | Path:
-    """Controller to score: a registered name as it is, a file as resolved path; InputError for any other text."""
+    """Check the controller to score and return a registered name as it is, a file as resolved path; else InputError."""
     if controller in CONTROLLERS:
         return controller
     file, known = data.location(controller), [*CONTROLLERS]
@@ -139,7 +139,7 @@ def entry(controller: str) -> str | Path:
 
 def ranked_seeds(of: str | Path) -> tuple[int, ...]:
     """Seeds that rank a controller of `entry`: `RANKED` for a registered name, else as many from the file's SHA-256.
-    Nobody knows the seeds of a file before its last change. Its line endings do not count."""
+    The seeds of a file are unknown before its last change; its line endings do not count."""
     if isinstance(of, str):
         return RANKED
     digest = hashlib.sha256(_SALT + of.read_bytes().replace(b"\r\n", b"\n")).digest()
@@ -162,18 +162,16 @@ def load_class(file: Path) -> type:
     return fitting[0]
 
 
-def made(controller: type, settings: Mapping[str, float]) -> lateral.Guidance:
-    """Make the guidance for `simulate.run` from a user's controller class and its keyword arguments `settings`.
-
-    It is the object controller(**settings). For a class with `plan` it is a factory, which makes one object
-    controller(vehicle, route, gear, **settings) per gear, on a `known` route.
-    """
+def make_guidance(controller: type, settings: Mapping[str, float]) -> lateral.Guidance:
+    """Make the guidance for `simulate.run` from a user's controller class and its keyword arguments `settings`. It is
+    the object controller(**settings). For a class with `plan` it is a factory, which makes one object
+    controller(vehicle, route, gear, **settings) per gear, on the route of `known_route`."""
     if not hasattr(controller, "plan"):
         return controller(**settings)
-    return lambda vehicle, route, gear: controller(vehicle, known(route), gear, **settings)
+    return lambda vehicle, route, gear: controller(vehicle, known_route(route), gear, **settings)
 
 
-def known(route: Route) -> Route:
+def known_route(route: Route) -> Route:
     """Copy of a route without irregularities and poor adhesion, which a scored controller may not know."""
     cells, hidden = np.array(route.cells), (*CHANNELS, "poor_le", "poor_ri")
     cells[:, [i for name, i in INDEX.items() if name in hidden or name.lstrip("d") in hidden]] = 0.0
@@ -227,7 +225,7 @@ def _driven(of: Path | type, case: Experiment) -> dict:
 def _registered(controller: type) -> str:
     """Enter a user's class into the registry of this process; returns its key there."""
     name = f"own {controller.__name__}"
-    CONTROLLERS[name] = Controller(partial(made, controller), dict, False)
+    CONTROLLERS[name] = Controller(partial(make_guidance, controller), dict, False)
     return name
 
 
@@ -242,7 +240,7 @@ def _row(run: Run, of: Experiment) -> store.Entry:
 
 
 def cost(row: dict) -> float:
-    """Cost J (-) of a run that did not fail, see the head of this module, from its row of `drive`. It is inf where a
+    """Cost J (-) of a run that did not fail, from its row of `drive`; see the head of this module. It is inf where a
     metric is not finite."""
     unused = 1 - min(row["utilisation"], 1.0) if np.isfinite(row.get("utilisation", np.nan)) else 0.0
     unsafe = max(row["y_over_q"] / Y_OVER_Q_LIMIT, row["sum_y_over_limit"])
@@ -252,7 +250,7 @@ def cost(row: dict) -> float:
 
 
 def points(row: dict) -> float:
-    """Points of a run (0 to 100) from its row of `drive` with the costs nothing and best of `ends_of_the_scale`."""
+    """Points (0 to 100) of a run from its row of `drive` joined with the dict of `ends_of_the_scale`."""
     if row["failure"]:
         return 0.0
     q, nothing, best = (1 / (1 + value) for value in (cost(row), row["nothing"], row["best"]))
@@ -260,7 +258,7 @@ def points(row: dict) -> float:
 
 
 def ends_of_the_scale(case: Experiment) -> dict[str, float]:
-    """Costs J (-) worth 0 and 100 points in a run of `cases`, and a bound of its error, as a dict with three keys.
+    """Compute the costs J (-) that are worth 0 and 100 points in a run of `cases`, and a bound of its error; a dict.
 
     nothing: cost of the run without guidance, inf if it fails. best: cost worth 100 points. limit: lower bound of the
     RMS lateral error (m). With exact measurements best is 0 and limit NaN, as only the drive limits the error. With
@@ -305,12 +303,12 @@ def score(
 
 
 def card(table: pd.DataFrame) -> pd.DataFrame:
-    """Summary of one controller's table of `score`: one row per seed, setting and metric.
+    """Summarise a table of `score`: one row per seed, setting and metric.
 
-    Columns scenario (always "all"), controller, metric, value, unit, setting, seed. Metrics: score, mean points of all
-    runs, of which the group `MARGINS` (more delay or a slower drive) counts as one; margins, mean points of this group;
-    cases, number of runs; and outside of this group failures, number of failed runs, and each of `METRICS`, for wheel
-    and track forces the largest value, else the mean. The setting "all" has only the mean score of both settings.
+    Columns scenario (always "all"), controller, metric, value, unit, setting, seed. Metrics of all runs: score, mean
+    points, for which the group `MARGINS` counts as one run; margins, mean points of that group; cases, number of runs.
+    Metrics of the runs outside of `MARGINS`: failures, number of failed runs; each of `METRICS`, the largest value of
+    wheel and track forces, the mean of others. The setting "all" has only the mean score of both settings.
     """
     rows = []
     for (seed, name), draw in table.groupby(["seed", "controller"], sort=False):

@@ -11,7 +11,7 @@ import pytest
 from railrepro import __main__ as command
 from railrepro import __version__, paths
 from railrepro.evidence import benchmark
-from railrepro.evidence.benchmark import NOTHING, cases, drive, known
+from railrepro.evidence.benchmark import NOTHING, cases, drive, known_route
 from railrepro.track.route import INDEX, Route
 from railrepro.vehicle.parameters import sample_ranges
 
@@ -97,7 +97,7 @@ def test_a_controller_knows_neither_friction_nor_irregularities():
     route = short("paper").scenario.route()
     full = np.ones_like(route.cells)
     full[:, INDEX["p"]] = route.cells[:, INDEX["p"]]
-    cells = known(Route(full, route.length)).cells
+    cells = known_route(Route(full, route.length)).cells
     hidden = ["lateral", "ddvertical", "gauge", "poor_le", "poor_ri"]
     for name in (*hidden, "force", "y_ref", "kappa"):
         assert cells[:, INDEX[name]].any() == (name not in hidden), name

@@ -34,8 +34,6 @@ from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 SCENARIOS = *(f"curve_entry_T{k}" for k in range(1, 5)), "sine_tracking", "adhesion_loss", "braking"
 KINDS = ("ipopt", "gauss_newton", "rti", "ltv_mpc")
-WINDOW = 32
-"""Number of successive problems recorded per scenario."""
 
 
 class Recording(NamedTuple):
@@ -59,7 +57,7 @@ class Recorder(NMPC):
         return super().plan(x_hat, u_d)
 
 
-def record(name: str, settings: MPCSettings, vehicle: Vehicle, count: int = WINDOW) -> Recording:
+def record(name: str, settings: MPCSettings, vehicle: Vehicle, count: int = 32) -> Recording:
     """Simulate a scenario under NMPC with `settings` and record `count` problems from the middle of the run on. `name`
     is the scenario in data/scenarios.toml; braking ends after 500 m."""
     scenario = scenarios.load_scenario(name)
@@ -72,7 +70,7 @@ def record(name: str, settings: MPCSettings, vehicle: Vehicle, count: int = WIND
 
 
 def tightened(recording: Recording) -> Recording:
-    """Copy of a recording with active bounds: |du| <= 60 N m, softly |y| <= 0.6 times the largest set point of y."""
+    """Copy of a recording in which bounds are active: |du| <= 60 N m, and softly |y| <= 0.6 max |set point of y|."""
     problems = recording.problems
     largest = max(np.abs(problem.ahead.x_d[:, Y]).max() for problem in problems)
     tight = replace(problems[0].settings, lateral_bound=0.6 * largest, yielding=True)
@@ -82,10 +80,8 @@ def tightened(recording: Recording) -> Recording:
 
 def solve_all(kind: str, recording: Recording, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     """Solve the n problems in order by a solver of `KINDS`, each warm-started by the previous one as in closed loop.
-
     Returns a tuple: planned differential torques over the L steps of the horizon (n, L) (N m); processor time per
-    problem, with forecast and preparation (n,) (s); iterations (n,); number of problems without a solution.
-    """
+    problem, with forecast and preparation (n,) (s); iterations (n,); number of problems without a solution."""
     first, torques = recording.problems[0], []
     limited = replace(vehicle, drive=replace(vehicle.drive, torque_limit=first.tau_max))
     given = limited, recording.route, 0, first.settings
@@ -139,10 +135,8 @@ def study_times(
     controllers: Sequence[str] = ("ndi", "nmpc"), settings: Sequence[str] = (PAPER, LOOP), repeats: int = 5
 ) -> pd.DataFrame:
     """Measure the processor time of the runs of a tuning task without the store: one row per controller and setting.
-
     Columns: setting; controller; run_ms and loop_ms, time of a run and of its compiled loop (ms), the mean over the
-    runs of the median of `repeats`; ratio of both (-).
-    """
+    runs of the median of `repeats`; ratio of both (-)."""
     rows = []
     for setting, controller in product(settings, controllers):
         task, quick, tuned = load_task(setting=setting), CONTROLLERS[controller].quick, parameters(controller, setting)

@@ -106,7 +106,7 @@ def chain() -> dict[str, Notebook]:
 
 
 def _makers() -> dict[str, str]:
-    """Name of the notebook that writes each product."""
+    """Product -> name of the notebook that writes it."""
     return {product: notebook.name for notebook in chain().values() for product in notebook.products}
 
 
@@ -133,7 +133,7 @@ def inputs(notebook: Notebook, taken: Reads) -> dict[str, str]:
 
 
 def _parts(file: str, entries: list[str]) -> dict[str, str]:
-    """Hashes of the values of some entries of a TOML file, or of all and their order; of other files one hash."""
+    """Hash per entry of a TOML file, of some or of all and their order; one hash of another file."""
     content = _content(file)
     try:
         table = tomllib.loads(content.decode()) if file.endswith(".toml") else None
@@ -283,7 +283,7 @@ def run(notebook: Notebook, parameters: dict, root: Path) -> Ran:
 
 
 def _taken(log: Path, notebook: Notebook) -> Reads:
-    """What a run read, from the log of its processes, except for the products of the notebook itself."""
+    """What a run read according to the log of its processes, without the products of the notebook itself."""
     logged: dict[str, set[str]] = {}
     for line in log.read_text(encoding="utf-8").splitlines() if log.exists() else ():
         file, _, entry = line.partition("\t")
@@ -313,7 +313,7 @@ def _fault(notebook: Notebook, taken: Reads, staging: Path, false: list[str]) ->
 
 
 def refresh(notebook: Notebook) -> Ran:
-    """Run a notebook (errors as `run`), record it for `last_run`; it stays stale if an input was edited meanwhile."""
+    """Run a notebook (errors as `run`) and record it for `last_run`; an input edited meanwhile leaves it stale."""
     begin, before = time.time(), inputs(notebook, {})
     ran = run(notebook, notebook.parameters, paths.ROOT)
     after = inputs(chain()[notebook.name], ran.reads)
@@ -328,10 +328,8 @@ def refresh(notebook: Notebook) -> Ran:
 
 def figures(names: Sequence[str] = ()) -> int:
     """Command `figures`: run those notebooks among `names` that are stale, in parallel (up to four, one per core).
-
     `names` are names of notebooks or figures, or their beginnings, as "fig06" (default all). InputError when nothing
-    begins with a name, or a name is blank. Returns 1 when a notebook failed, else 0.
-    """
+    begins with a name, or a name is blank. Returns 1 when a notebook failed, else 0."""
     notebooks = chain()
     wanted = set() if names else set(notebooks)
     for name in names:
@@ -430,7 +428,7 @@ def drive(vehicle: Path) -> int:
 def verify() -> int:
     """Command `verify`: rerun all notebooks in build/verify and print how products differ from the committed ones.
     Returns 1 when a notebook fails or a product differs by more than its tolerance, else 0."""
-    os.environ[store.FOLDER] = "off"  # a rerun computes
+    os.environ[store.FOLDER] = "off"  # a rerun reads no stored results
     root = paths.BUILD / "verify"
     shutil.rmtree(root, ignore_errors=True)
     findings = list(_run_all(chain(), lambda one: run(one, one.parameters, root)).values())

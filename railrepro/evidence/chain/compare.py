@@ -30,11 +30,9 @@ class Own:
 
 @data.table
 class Tolerance:
-    """Tolerances for the comparison of two runs, the table [verify] of notebooks/chain.toml.
-
-    `relative` is for tables (-), `image_rms` for images (RMS, grey levels of 255), `own` for single columns. Columns in
-    `not_compared` (computation times) may differ by any amount.
-    """
+    """Tolerances for the comparison of two runs, the table [verify] of notebooks/chain.toml. `relative` is for tables
+    (-), `image_rms` for images (RMS, grey levels of 255), `own` for single columns. Columns in `not_compared`
+    (computation times) may differ by any amount."""
 
     relative: _SHARE = 0.0
     image_rms: Annotated[Number, between(0.0, 255.0, "grey levels")] = 0.0

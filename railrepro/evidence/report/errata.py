@@ -17,11 +17,9 @@ _TRIPLED = 2
 
 
 def model_variants(scenarios: Sequence[Scenario], variants: Sequence[str]) -> pd.DataFrame:
-    """Simulate NMPC with variants of its prediction model, and with the printed torque limit (erratum D10).
-
-    `variants` are values of `MPCSettings.variant`. Returns one row of metrics per run (`run_all`) with the columns
-    scenario, variant ("D10" for the printed limit) and flange (whether a wheel touched its flange or lifted).
-    """
+    """Simulate NMPC with variants of its prediction model, and with the printed torque limit (erratum D10). `variants`
+    are values of `MPCSettings.variant`. Returns one row of metrics per run (`run_all`) with the columns scenario,
+    variant ("D10" for the printed limit) and flange (whether a wheel touched its flange or lifted)."""
     changed = {variant: {"variant": variant} for variant in variants} | {"D10": {"yielding": False}}
     tried = [*product(scenarios, variants), *product(scenarios, ["D10"])]
     runs = [Experiment(s, "nmpc", {"variant": v}, options={"solver": "rti"}, changes=changed[v]) for s, v in tried]
@@ -70,4 +68,4 @@ def effects(variants: pd.DataFrame, linear: pd.DataFrame) -> pd.DataFrame:
     d8 = pd.DataFrame({"id": "D8", "scenario": ["T1", "T2", "T3", "T4"], "rmse_change": 0.0, "effort_change": 0.0})
     columns = ["id", "scenario", "rmse_y", "rmse_y_corrected", "rmse_change", "effort_change", "lost"]
     result = pd.concat([effect[columns], d8], ignore_index=True)
-    return result.round({"rmse_change": 8, "effort_change": 8})  # less is rounding
+    return result.round({"rmse_change": 8, "effort_change": 8})  # smaller changes are rounding

@@ -42,7 +42,7 @@ class Question:
 
 
 def load(path: Path | str | None = None) -> dict[str, Question]:
-    """Open questions of a TOML file (default data/answers.toml): name -> `Question`; InputError for wrong entries."""
+    """Read the open questions of a TOML file (default data/answers.toml): name -> `Question`; else InputError."""
     file = data.location(path, paths.source("data/answers.toml"))
     questions = data.build(dict[str, Question], data.read(file), file.name)
     for name in [name for name, question in questions.items() if question.answer]:
@@ -54,17 +54,15 @@ def load(path: Path | str | None = None) -> dict[str, Question]:
 
 
 def _setup(answered: Iterable[Question]) -> ProbeSetup:
-    """Setup with the answers to questions. InputError for an answer that car, controllers or scenarios refuse."""
+    """Setup of the probe with answers to questions; InputError for one that car, controllers or scenarios refuse."""
     given = {key: value for each in answered for key, value in zip(each.sets, cycle(each.answer), strict=False)}
     return setup(given, given.pop("column", PAPER)).checked()
 
 
 def flips(answered: Mapping[str, Question]) -> pd.DataFrame:
-    """Verdicts in the setting `paper` before and after answers to open questions: one row per statement.
-
-    `answered` maps names to questions with an answer. Only the runs that depend on an answer are simulated again.
-    Columns id, statement (its text), before, after (verdicts).
-    """
+    """Verdicts in the setting `paper` before and after answers to open questions: one row per statement. `answered`
+    maps names to questions with an answer. Only the runs that depend on an answer are simulated again. Columns id,
+    statement (its text), before, after (verdicts)."""
     probed = _setup(answered.values())  # refuses a value before anything runs
     needed = {part for question in answered.values() for part in question.parts}
     rows = probe.probe(probed, [part for part in probe.PARTS if part in needed])

@@ -37,11 +37,9 @@ _LINK = re.compile(r"\[([^]]+)\]\(([^)]+)\)")
 
 @data.table
 class Thesis:
-    """Sentence of the report with the conditions under which it is true, an entry of data/theses.toml.
-
-    `says` is the text, with Jinja expressions. It is shown only if all Jinja conditions of `true` hold. `role` is its
-    place in the report, `of` are the ids of the statements that it explains.
-    """
+    """Sentence of the report with the conditions under which it is true, an entry of data/theses.toml. `says` is the
+    text, with Jinja expressions. It is shown only if all Jinja conditions of `true` hold. `role` is its place in the
+    report, `of` are the ids of the statements that it explains."""
 
     says: str
     true: Annotated[tuple[str, ...], data.NOT_EMPTY]
@@ -105,7 +103,7 @@ class Page:
         return "## ".join(_linked_once(section) for section in text.split("## "))
 
     def render(self, template: str, **more) -> str:
-        """Text of a template in data/, which may use the chain of notebooks (`chapters`, `verify`), the captions of
+        """Render a template in data/, which may use the chain of notebooks (`chapters`, `verify`), the captions of
         figures and the values `more`."""
         chain, captions = (data.read(paths.NOTEBOOKS / name) for name in ("chain.toml", "book/captions.toml"))
         more |= {"chapters": chain["notebook"], "verify": chain["verify"], "captions": captions}
@@ -118,7 +116,7 @@ class Page:
         return head + BEGIN + self._jinja.get_template("readme.md.j2").render() + END + tail
 
     def contract(self) -> pd.DataFrame:
-        """Content of claims.csv: `judged` without the column data, with why, the reasons of what is not reproduced."""
+        """Content of claims.csv: `judged` without the column data, with why: the reasons where it is not reproduced."""
         reasons, table = self.sentences("why"), self.judged.drop(columns="data")
         why = pd.Series([" ".join(says for of, says in reasons if identity in of) for identity in table["id"]])
         fails = (self.judged["judged"] != REPRODUCED) & (self.judged["data"] != "")
@@ -237,7 +235,7 @@ def _linked_once(section: str) -> str:
 
 
 def number(value: float, unit: str = "") -> str:
-    """Value of a statement with unit, in three digits, four near 1; "a run failed" for inf, "no value" for NaN."""
+    """Value of a statement with unit, in three digits (four near 1); "a run failed" for inf, "no value" for NaN."""
     if np.isnan(value):
         return "no value"
     shown = f"{value:.4g}" if abs(value - 1) < 0.01 else f"{value:.3g}"
