@@ -40,7 +40,7 @@ def test_products_appear_once_and_again_when_deleted_or_changed(tiny, capfd):
     ("last", "sentence"),
     [
         ("import sys\nsys.exit(0)", "did not write data/results/out.csv"),
-        ("import os\nos._exit(1)", "its kernel did not start or ended before its time"),
+        ("import os\nos._exit(1)", "its kernel did not start or ended early"),
     ],
 )
 def test_failures_name_the_place_and_leave_the_old_product(tiny, last, sentence):
@@ -72,7 +72,7 @@ def test_a_notebook_reads_no_product_of_another_and_one_that_fails_stops_no_othe
     said = capfd.readouterr().err
     assert "4 of 4 notebooks are stale" in said and "Traceback" not in said
     assert "error: 02_b: reads data/01_a, which 01_a writes" in said
-    assert "error: 03_c: cell 3 failed with ZeroDivisionError: division by zero (kept " in said
+    assert "error: 03_c: cell 3 failed with ZeroDivisionError: division by zero (outputs in " in said
     assert [(tiny / "data" / name).exists() for name in contents] == [True, False, False, True]
     rows = (tiny / "data/MANIFEST.csv").read_text().split()[1:]
     assert [row.split(",")[:3:2] for row in rows] == [["data/01_a", "01_a"], ["data/04_d", "04_d"]]

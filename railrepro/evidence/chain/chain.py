@@ -234,7 +234,7 @@ def _execute(notebook: Notebook, parameters: dict, staging: Path) -> tuple[Any, 
         except papermill.PapermillExecutionError as error:
             failure = f"cell {error.exec_count} failed with {error.ename}: {error.evalue}".splitlines()[0]
         except (RuntimeError, TimeoutError) as error:
-            failure = f"its kernel did not start or ended before its time ({str(error).partition(chr(10))[0]})"
+            failure = f"its kernel did not start or ended early ({str(error).partition(chr(10))[0]})"
         finally:
             ended.set()
     content = nbformat.read(output if output.exists() else notebook.path, 4)
@@ -276,7 +276,7 @@ def run(notebook: Notebook, parameters: dict, root: Path) -> Ran:
         kept.unlink(missing_ok=True)
         write(kept if failure else executed / f"{notebook.name}.ipynb", nbformat.writes(content) + "\n")
         if failure:
-            raise InputError(f"{notebook.name}: {failure} (kept {kept})")
+            raise InputError(f"{notebook.name}: {failure} (outputs in {kept})")
         for product in notebook.products:
             write(root / product, (staging / product).read_bytes())
     return Ran(taken, round((time.monotonic() - begin) / 60, 2), round(memory / 1e9, 2))

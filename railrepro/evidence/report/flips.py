@@ -74,11 +74,11 @@ def flips(answered: Mapping[str, Question]) -> pd.DataFrame:
     spread = {key: value for key, value in known.spread.items() if key[1] not in stated}
     before = statements.findings(known)
     after = statements.findings(Evidence(metrics | {row[:3]: row[3] for row in rows}, spread))
-    verdicts = []
+    found = []
     for identity, rule in statements.load().items():
         if identity in before and identity in after:
-            verdicts.append((identity, rule.statement, rule.judge(before[identity]), rule.judge(after[identity])))
-    return pd.DataFrame(verdicts, columns=["id", "statement", "before", "after"])
+            found.append((identity, rule.statement, rule.judge(before[identity]), rule.judge(after[identity])))
+    return pd.DataFrame(found, columns=["id", "statement", "before", "after"])
 
 
 def main(settings: Sequence[str] = ()) -> None:
