@@ -82,19 +82,20 @@ def cases(seed: int, names: Sequence[str] | None = None) -> list[Experiment]:
 
     Each run occurs in both settings: in "paper" with exact measurements, in "loop" with sensors. `seed` (0 to 2^31)
     determines sensor noise and biases, irregularities and the values of the parameters `MISMATCH`. `names` selects runs
-    by name, as "curve_T3" (default all); InputError when no run has one of the names. Labels of an experiment are
-    scenario (name of the run), setting and group; runs of one group count as one in the score.
+    by name, as "curve_T3" (default all); InputError for an unknown one. Labels of an experiment are scenario (name of
+    the run), setting and group; runs of one group count as one in the score.
     """
-    suite = []
-    for setting, (name, group, draw, scenario, more) in product(SETTINGS, _runs(seed)):
-        if names is not None and name not in names:
-            continue
-        delay = more.get("sensors", {})
-        sensors = {"seed": draw} if setting == LOOP else {"perfect": True} if delay else {}
-        label, around = {"scenario": name, "setting": setting, "group": group}, more | {"sensors": sensors | delay}
-        suite.append(Experiment(scenario, NOTHING, label, {}, setting=setting, ride=True, **around))
-    if not suite:
-        raise InputError(f"benchmark: no run has one of the names {names}")
+    suite, runs = [], _runs(seed)
+    known = [name for name, *_ in runs]
+    chosen = known if names is None else names
+    if not chosen or set(chosen) - set(known):
+        raise InputError(f"benchmark: the names of the runs are {[*chosen]}, one or more of {known} are needed")
+    for setting, (name, group, draw, scenario, more) in product(SETTINGS, runs):
+        if name in chosen:
+            delay = more.get("sensors", {})
+            sensors = {"seed": draw} if setting == LOOP else {"perfect": True} if delay else {}
+            label, around = {"scenario": name, "setting": setting, "group": group}, more | {"sensors": sensors | delay}
+            suite.append(Experiment(scenario, NOTHING, label, {}, setting=setting, ride=True, **around))
     return suite
 
 
