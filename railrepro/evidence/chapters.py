@@ -1,5 +1,5 @@
-"""What the chapters of the book share besides `railrepro`: sentences with their conditions, figures with one look,
-lines of the library, and the calibrated car."""
+"""What several chapters of the book use besides the facade: sentences with conditions, figures, source code, and the
+calibrated car."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ __all__ = ["calibrated", "figures", "sentences", "source"]
 
 
 def source(*of: Callable) -> None:
-    """Display the lines of functions or classes of the library, without their docstrings, as they run."""
-    from IPython.display import Markdown, display  # the library does without it
+    """Display the source code of functions or classes of the library without their docstrings."""
+    from IPython.display import Markdown, display  # not needed outside of notebooks
 
     for each in of:
         lines = textwrap.dedent(inspect.getsource(each)).splitlines()

@@ -1,4 +1,4 @@
-"""The commands of `python -m railrepro` and their arguments; modules that a command needs are imported when it runs."""
+"""The commands of `python -m railrepro` and their arguments; the modules of a command are imported when it runs."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ def main(arguments: list[str] | None = None) -> int:
 def report_errors(command: Callable[[], object]) -> int:
     """Call `command` and return the exit code of the process.
 
-    An integer that `command` returns is the code; any other result gives 0 and is printed unless it is None. An
-    InputError or OSError is printed to stderr in one sentence and gives 1. Ctrl-C ends this process and all processes
-    that it started with the code 130.
+    The code is the integer that `command` returns, or 0 for any other result, which is printed unless it is None. It is
+    1 for an InputError or OSError, which is printed to stderr in one sentence. Ctrl-C ends this process and all
+    processes that it started with the code 130.
     """
     try:
-        if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # of the time of imports, see `railrepro.__main__`
+        if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # set for the imports, see `railrepro.__main__`
             signal.signal(signal.SIGINT, signal.default_int_handler)
         leader = os.environ.get("RAILREPRO_LEADER", "")
         if leader.isdigit():
@@ -65,11 +65,11 @@ def report_errors(command: Callable[[], object]) -> int:
 
 
 def _print(text: str) -> None:
-    """Print to stdout, with all that was printed before, at once; InputError when that fails."""
+    """Print to stdout and flush it; InputError when that fails."""
     try:
         print(text, end="", flush=True)
     except OSError as error:
-        sys.stdout = None  # what it holds back is lost, Python need not try again
+        sys.stdout = None  # Python would try again at its end to write what is lost
         raise InputError(f"standard output cannot be written ({error.strerror})") from error
 
 
@@ -85,7 +85,7 @@ def end(code: int) -> NoReturn:
 
 
 def end_with(leader: int) -> None:
-    """Wait until the process with the id `leader` (make) has ended, then `end` this one with the exit code 1."""
+    """Wait until the process with the id `leader` (make) has ended, then `end` this process with the exit code 1."""
     import psutil
 
     with suppress(psutil.NoSuchProcess):
@@ -105,54 +105,44 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, f"error: {message}; `{self.prog} --help` shows what is allowed\n")
 
 
-def _file(text: str) -> Path:
-    """Argument that names a file."""
-    if not Path(text).is_file():
-        raise argparse.ArgumentTypeError(f"there is no file {text!r}")
-    return Path(text)
-
-
 _CALLS = {
     "figures": ("evidence.chain.chain:figures", "run the notebooks that are stale"),
-    "drive": ("evidence.chain.chain:drive", "run the chapters 00 to 09 with a car of one's own"),
+    "drive": ("evidence.chain.chain:drive", "run the chapters 00 to 09 with your own car"),
     "verify": ("evidence.chain.chain:verify", "rerun all notebooks and compare with the committed products"),
-    "html": ("evidence.chain.book:html", "executed notebooks as a book in build/html"),
+    "html": ("evidence.chain.book:html", "make a book of the executed notebooks in build/html"),
     "tune": ("tuning.tune:main", "tune controllers by particle swarm, write data/tuned (long, resumes)"),
-    "probe": ("evidence.report.flips:main", "metrics of the nominal car (long), or verdicts that answers flip"),
+    "probe": ("evidence.report.flips:main", "measure the nominal car (long), or list verdicts that answers flip"),
     "calibrated": ("evidence.claims.calibrated:main", "judge the calibrated car, data/paper_like.toml (long)"),
-    "robustness": ("evidence.uncertainty.robustness:main", "robustness of the verdicts over samples (long, resumes)"),
-    "margins": ("evidence.uncertainty.margins:main", "stability margins of all tuned sets (long)"),
-    "loop": ("evidence.uncertainty.loop:main", "closed loop over unseen seeds, and its limit (long, resumes)"),
+    "robustness": ("evidence.uncertainty.robustness:main", "judge samples of the car for robustness (long, resumes)"),
+    "margins": ("evidence.uncertainty.margins:main", "compute the stability margins of all tuned sets (long)"),
+    "loop": ("evidence.uncertainty.loop:main", "measure loop over unseen seeds, and its limit (long, resumes)"),
     "bench": ("evidence.bench.speed:main", "measure speed, write data/results"),
     "report": ("evidence.report.page:main", "judge the statements, write REPLICATION.md, numbers of README.md"),
     "score": ("evidence.benchmark:main", "score a controller on the benchmark, write build/score"),
     "leaderboard": ("evidence.benchmark:leaderboard", "score registered controllers and examples/ (long)"),
-    "release": ("evidence.release:main", "an archive with the runs of Figs. 6 to 9 as data for other programs"),
-    "live": ("export.live:main", "the page in build/live that drives the car in a browser"),
+    "release": ("evidence.release:main", "make an archive with the runs of Figs. 6 to 9 as data for other programs"),
+    "live": ("export.live:main", "make the page in build/live that drives the car in a browser"),
 }
-"""Commands with the function that each calls, as "module:name", and what it does."""
-_ARGUMENTS: list[tuple[str, str, dict]] = [
-    ("figures", "names", {"nargs": "*", "metavar": "NAME", "help": "notebooks or figures, as fig06; default all"}),
-    ("drive", "vehicle", {"type": _file, "help": "a file like data/vehicle.toml"}),
-    ("tune", "names", {"nargs": "*", "metavar": "NAME", "help": "settings and controllers; default all"}),
-    ("probe", "settings", {"nargs": "*", "metavar": "SETTING", "help": "paper, swarm, loop; default all; or FILE.toml, "
-                           "a filled data/answers.toml"}),
-    ("score", "controller", {"help": "a Python file with one controller class, or a registered name"}),
-    ("score", "--seed", {"type": int, "help": "a different random seed of noise, rails and cars"}),
-    ("score", "--ranked", {"action": "store_true", "help": "the five seeds that follow from the content of the file"}),
-]  # fmt: skip
-"""Command, name of an argument, options of `add_argument`."""
+"""Command -> function that it calls, as "module:name", and help text."""
 
 
 def parser() -> argparse.ArgumentParser:
     """Parser of the command line; the parsed argument `call` is the function of the command as "module:name"."""
-    top = _Parser(
-        prog="python -m railrepro", description="Model predictive control of railway running gears, replicated."
-    )
-    commands = top.add_subparsers(required=True, metavar="COMMAND")
-    added = {name: commands.add_parser(name, help=words, description=words) for name, (_, words) in _CALLS.items()}
-    for name, (call, _) in _CALLS.items():
+    description = "Model predictive control of railway running gears, replicated."
+    top = _Parser(prog="python -m railrepro", description=description)
+    commands, added = top.add_subparsers(required=True, metavar="COMMAND"), {}
+    for name, (call, words) in _CALLS.items():
+        added[name] = commands.add_parser(name, help=words, description=words)
         added[name].set_defaults(call=f"railrepro.{call}")
-    for name, argument, options in _ARGUMENTS:
-        added[name].add_argument(argument, **options)
+    for name, argument, words in (
+        ("figures", "names", "notebooks or figures, as fig06; default all"),
+        ("tune", "names", "settings and controllers; default all"),
+        ("probe", "settings", "paper, swarm, loop; default all; or FILE.toml, a filled data/answers.toml"),
+    ):
+        added[name].add_argument(argument, nargs="*", metavar=argument[:-1].upper(), help=words)
+    added["drive"].add_argument("vehicle", type=Path, help="a file like data/vehicle.toml")
+    added["score"].add_argument("controller", help="a Python file with one controller class, or a registered name")
+    seeds = added["score"].add_mutually_exclusive_group()
+    seeds.add_argument("--seed", type=int, default=argparse.SUPPRESS, help="a different random seed")
+    seeds.add_argument("--ranked", action="store_true", help="the five seeds that follow from the content of the file")
     return top

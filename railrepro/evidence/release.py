@@ -1,8 +1,8 @@
 """Archive of a release: the repository, and the closed-loop runs of Figs. 6 to 9 as data for other programs.
 
-Its folder `runs` has, per figure, the car on its route as an FMU, and per controller a CSV with a row per millisecond:
-the four torque commands, named as the FMU's inputs, and its outputs `front.y` and `rear.y` before the step to which the
-torques belong. Stepped by 1 ms with the torques of a file, the FMU gives its displacements to the last digit.
+Its folder `runs` has, per figure, the car on its route as an FMU, and per controller a CSV with one row per
+millisecond: the four torque commands, named as the inputs of the FMU, and its outputs `front.y` and `rear.y` before the
+step with these torques. Stepped by 1 ms with the torques of a file, the FMU gives its displacements to the last digit.
 """
 
 from __future__ import annotations
@@ -27,29 +27,25 @@ FIGURES = {
     "fig08": ("adhesion_loss", ("nmpc",)),
     "fig09": ("braking", ("nmpc", TEN_TIMES, "ndi")),
 }
-"""Figure -> name of its scenario, and its controllers."""
+"""Figure -> name of its scenario, names of its controllers."""
 
 
 def exchanged(scenario: Scenario, controller: str) -> pd.DataFrame:
-    """Simulate a controller with its tuned set of the setting `paper`; returns one row per millisecond.
-
-    `controller` is a key of `registry.CONTROLLERS`, or `TEN_TIMES`: NMPC with ten times its weight R. Columns: time
-    (s), torque commands of the wheels as the FMU's inputs (N m), lateral positions of the gears (m).
-    """
+    """Simulate a controller with its tuned set of the setting `paper`; returns one row per millisecond. `controller` is
+    a key of `registry.CONTROLLERS` or `TEN_TIMES`. Columns: t_s (s), torque commands of the wheels as inputs of the FMU
+    (N m), lateral displacements front.y and rear.y (m)."""
     name, factor = ("nmpc", 10.0) if controller == TEN_TIMES else (controller, 1.0)
     tuned = parameters(name)
     series = Experiment(scenario, name, parameters=with_r_times(tuned, factor) if "r" in tuned else tuned).run().series
-    torques = {
-        "tau_front_le": series["front.tau_long"] + series["front.du"],
-        "tau_front_ri": series["front.tau_long"] - series["front.du"],
-        "tau_rear_le": series["rear.tau_long"] + series["rear.du"],
-        "tau_rear_ri": series["rear.tau_long"] - series["rear.du"],
-    }
-    return pd.DataFrame({"t_s": series["t_s"]} | torques | series[["front.y", "rear.y"]].to_dict("series"))
+    columns = {"t_s": series["t_s"]}
+    for gear in ("front", "rear"):
+        common, du = series[f"{gear}.tau_long"], series[f"{gear}.du"]
+        columns |= {f"tau_{gear}_le": common + du, f"tau_{gear}_ri": common - du}
+    return pd.DataFrame(columns).join(series[["front.y", "rear.y"]])
 
 
 def write_runs(folder: Path) -> list[Path]:
-    """Per figure of `FIGURES` write FIGURE_car.fmu and FIGURE_CONTROLLER.csv (`exchanged`) to a folder; their paths."""
+    """Write FIGURE_car.fmu and FIGURE_CONTROLLER.csv (`exchanged`) per figure of `FIGURES` to a folder; their paths."""
     folder.mkdir(parents=True, exist_ok=True)
     files = []
     for figure, (driven, controllers) in FIGURES.items():
@@ -62,10 +58,10 @@ def write_runs(folder: Path) -> list[Path]:
 
 
 def main() -> None:
-    """Write build/railrepro-VERSION.tar.gz: committed files (InputError if one was edited), files of `write_runs`."""
+    """Command `release`: write build/railrepro-VERSION.tar.gz; InputError when a committed file was edited."""
     root, name = paths.ROOT, f"railrepro-{__version__}"
     if subprocess.run(["git", "-C", root, "diff", "--quiet", "HEAD"]).returncode:
-        raise InputError("release: there are changes that are not committed, or no git repository")
+        raise InputError("release: there are uncommitted changes, or this is no git repository")
     archive, added = root / f"build/{name}.tar.gz", [f"--add-file={file}" for file in write_runs(root / "build/runs")]
     prefixes = [f"--prefix={name}/runs/", *added, f"--prefix={name}/"]
     subprocess.run(["git", "-C", root, "archive", *prefixes, f"--output={archive}", "HEAD"], check=True)

@@ -1,7 +1,4 @@
-"""Every notebook runs with small parameters, or in full, and writes what it declares; and it runs on when edited.
-
-Edits are parameters, a car, a track, a scenario, a friction of a reader's own; their runs are short.
-"""
+"""Every notebook runs, in full or with small parameters, and writes what it declares; an edit does not stop it."""
 
 from typing import NamedTuple
 
@@ -15,24 +12,20 @@ from railrepro.evidence.report.sentences import false_in
 @pytest.mark.parametrize("notebook", chain.chain().values(), ids=lambda notebook: notebook.name)
 def test_notebook(notebook, tmp_path):
     """In a folder of its own: what a chapter reads is committed, not what another one wrote with small parameters."""
-    parameters = notebook.parameters | notebook.test_parameters
-    chain.run(notebook, parameters, tmp_path)
-    if not notebook.test_parameters:  # the real run, so numbers and images must be the committed ones
-        pairs = [(paths.ROOT / product, tmp_path / product) for product in notebook.products]
-        found = [(old, new, compare.compare(old, new, chain.load().verify)) for old, new in pairs]
-        different = [
-            f"  {old.name}: {compare.summary(entries)}\n    committed {old}\n    rerun     {new}"
-            for old, new, entries in found
-            if (entries["outcome"] == compare.DIFFERENT).any()
-        ]
-        assert not different, "\n".join(["other products than the committed ones, see CONTRIBUTING.md:", *different])
+    chain.run(notebook, notebook.parameters | notebook.test_parameters, tmp_path)
+    different = []
+    for product in notebook.products if not notebook.test_parameters else ():  # a real run gives what is committed
+        old, new = paths.ROOT / product, tmp_path / product
+        entries = compare.compare(old, new, chain.load().verify)
+        if (entries["outcome"] == compare.DIFFERENT).any():
+            different.append(f"  {old.name}: {compare.summary(entries)}\n    committed {old}\n    rerun     {new}")
+    assert not different, "\n".join(["other products than the committed ones, see CONTRIBUTING.md:", *different])
 
 
 class Edit(NamedTuple):
-    """A chapter (how its name begins) and what is changed: parameters; text of a file of data/.
+    """An edit of a reader: the chapter (how its name begins), and changed parameters or a changed text in data/.
 
-    One with `marks` must mark a sentence that no longer holds. Quick ones are run by `make test`, others by
-    `make test-slow`.
+    One with `marks` must mark a sentence as false. `make test` runs the quick ones, `make test-slow` the others.
     """
 
     chapter: str
@@ -131,13 +124,11 @@ CASES = [
 
 @pytest.mark.parametrize("edit", CASES)
 def test_an_edit_stops_no_chapter(edit, tmp_path):
-    name = next(name for name in chain.chain() if name.startswith(edit.chapter))
+    notebook = next(each for name, each in chain.chain().items() if name.startswith(edit.chapter))
     for file, (old, new) in edit.texts.items():
         text = (paths.ROOT / file).read_text(encoding="utf-8")
         assert old in text
         (tmp_path / "data").mkdir()
         (tmp_path / file).write_text(text.replace(old, new), encoding="utf-8")
-    notebook = chain.chain()[name]
-    parameters = notebook.parameters | notebook.test_parameters | edit.parameters
-    chain.run(notebook, parameters, tmp_path)
-    assert edit.marks <= bool(false_in(data.read(tmp_path / "notebooks" / f"{name}.ipynb")["cells"]))
+    chain.run(notebook, notebook.parameters | notebook.test_parameters | edit.parameters, tmp_path)
+    assert edit.marks <= bool(false_in(data.read(tmp_path / f"notebooks/{notebook.name}.ipynb")["cells"]))

@@ -1,4 +1,4 @@
-"""Sentences of chapters: what makes one false, what a reader sees, and that a false one fails the chain."""
+"""Sentences of chapters: when one is false, what a reader sees, and that a false one fails the chain."""
 
 import json
 import subprocess
@@ -27,44 +27,44 @@ def test_a_sentence_needs_all_of_its_conditions_and_one_at_least():
         assert said == [("It holds.", true), ("It does not.", False)], conditions
 
 
-def said(capfd):
+def run(capfd):
     """Exit code of the chain and the last line that it printed."""
     return chain.figures(), capfd.readouterr().err.splitlines()[-1]
 
 
-def commit(folder, *cells):
-    """Write the notebook and commit all."""
-    write_notebook(folder / "notebooks", ["", *cells])
-    identity = ["-c", "user.name=a", "-c", "user.email=a@b"]
+def commit(folder, says):
+    """Write the notebook with value = 2 and commit all."""
+    write_notebook(folder / "notebooks", ["", "value = 2", says])
+    git = ["git", "-C", folder, "-c", "user.name=a", "-c", "user.email=a@b"]
     for arguments in (["init", "-q"], ["add", "notebooks", "data"], ["commit", "-qm", "a"]):
-        subprocess.run(["git", *identity, *arguments], cwd=folder, check=True, capture_output=True)
+        subprocess.run([*git, *arguments], check=True)
 
 
-def outputs(folder):
+def shown(folder):
     cells = json.loads((folder / "build/notebooks/01_tiny.ipynb").read_text())["cells"]
     return "".join("".join(output["data"]["text/markdown"]) for cell in cells for output in cell["outputs"])
 
 
 def test_changed_values_mark_a_sentence_and_the_chain_names_it(tiny, capfd):
-    commit(tiny, "value = 2", SAYS)
-    code, words = said(capfd)
-    assert code == 0 and words.startswith("01_tiny: done in ")
-    assert outputs(tiny).startswith("The value is 2. One over it is positive.\n\n<small>2 sentences checked")
+    commit(tiny, SAYS)
+    code, line = run(capfd)
+    assert code == 0 and line.startswith("01_tiny: done in ")
+    assert shown(tiny).startswith("The value is 2. One over it is positive.\n\n<small>2 sentences checked")
     write_notebook(tiny / "notebooks", ["", "value = 4", SAYS])
-    assert said(capfd) == (0, "01_tiny: does not hold with these values: The value is 4.")
-    assert outputs(tiny).startswith(f"<mark>**{sentences.MARK}:** The value is 4.</mark> One over it")
+    assert run(capfd) == (0, "01_tiny: does not hold with these values: The value is 4.")
+    assert shown(tiny).startswith(f"<mark>**{sentences.MARK}:** The value is 4.</mark> One over it")
     write_notebook(tiny / "notebooks", ["", "value = 0", SAYS])
-    assert said(capfd)[1].startswith("01_tiny: does not hold with these values: ")
-    assert "need values that are missing (ZeroDivisionError: division by zero)" in outputs(tiny)
+    assert run(capfd)[1].startswith("01_tiny: does not hold with these values: ")
+    assert "need values that are missing (ZeroDivisionError: division by zero)" in shown(tiny)
 
 
 def test_with_the_committed_values_a_false_sentence_fails_the_chain(tiny, capfd):
     (tiny / "data/in.txt").write_text("a")
     reading = SAYS.replace("value < 3", "(paths.DATA / 'in.txt').read_text() == 'a'")
-    commit(tiny, "value = 2", reading)
+    commit(tiny, reading)
     (tiny / "data/in.txt").write_text("b")
-    assert said(capfd) == (0, "01_tiny: does not hold with these values: The value is 2.")
+    assert run(capfd) == (0, "01_tiny: does not hold with these values: The value is 2.")
     (tiny / "data/results/out.csv").unlink()
-    commit(tiny, "value = 2", reading)
+    commit(tiny, reading)
     assert chain.figures() == 1 and not (tiny / "data/results/out.csv").exists()
     assert "01_tiny: does not hold with the committed values: The value is 2." in capfd.readouterr().err

@@ -1,43 +1,33 @@
 """Comparison of the products of two runs: each number has its scale, and one notebook that fails hides nothing."""
 
 import pytest
-from chapters import write_notebook
+from chapters import write_chain
 
 from railrepro import paths
 from railrepro.compile import cache
 from railrepro.evidence.chain import chain, compare
 
-CHAIN = """
+VERIFY = """
 [verify]
 relative = 1e-5
-image_rms = 2.0
 not_compared = ["seconds"]
-own = [{ table = "one.csv", column = "loose", rows = "a > 2", relative = 1e-2, why = "it is loose" }]
-[[notebook]]
-name = "01_tiny"
-title = "one"
-writes = ["data/late.csv"]
-[[notebook]]
-name = "02_two"
-title = "two"
-writes = ["data/one.csv"]
+own = [{ table = "02_two", column = "loose", rows = "a > 2", relative = 1e-2, why = "it is loose" }]
 """
-WRITE = "from railrepro import paths\npaths.product('data/{}').write_text('{}')"
 
 
 def test_one_failing_notebook_hides_nothing(tiny, capsys):
-    (tiny / "notebooks/chain.toml").write_text(CHAIN)
-    rows = "a,loose,seconds\\n1,100.2,1\\n3,200.5,9\\n"
-    write_notebook(tiny / "notebooks", ["assert False, 'odd'"])
-    write_notebook(tiny / "notebooks", [WRITE.format("one.csv", rows)], "02_two")
-    for name, text in {"one": "a,loose,seconds\n1,100,1\n3,200,2\n", "late": "a\n1\n"}.items():
-        (tiny / f"data/{name}.csv").write_text(text)
+    rows = "a,loose,seconds\n1,100{},{}\n3,200{},{}\n"
+    write = f"paths.product('data/02_two').write_text({rows.format('.2', 1, '.5', 9)!r})"
+    write_chain(tiny, {"01_one": "assert False, 'odd'", "02_two": write}, VERIFY)
+    committed = {"01_one": "a\n1\n", "02_two": rows.format("", 1, "", 2)}
+    for name, text in committed.items():
+        (tiny / "data" / name).write_text(text)
     assert chain.verify() == 1
     failed, *others = capsys.readouterr().out.splitlines()[-3:]
-    assert failed.startswith("not reproduced: 01_tiny: ") and "odd" in failed
-    for said, counts in zip(others, ("late.csv: 0 same, 0 within", "one.csv: 4 same, 1 within"), strict=True):
-        assert said.startswith(f"not reproduced: data/{counts} tolerance, 1 different")
-    assert (tiny / "data/one.csv").read_text() == "a,loose,seconds\n1,100,1\n3,200,2\n"
+    assert failed.startswith("not reproduced: 01_one: ") and "odd" in failed
+    for line, counts in zip(others, ("01_one: 0 same, 0 within", "02_two: 4 same, 1 within"), strict=True):
+        assert line.startswith(f"not reproduced: data/{counts} tolerance, 1 different")
+    assert {name: (tiny / "data" / name).read_text() for name in committed} == committed
 
 
 @pytest.mark.parametrize(

@@ -20,3 +20,11 @@ def write_notebook(folder, cells, name="01_tiny"):
     metadata = {"kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"}}
     content = {"cells": entries, "metadata": metadata, "nbformat": 4, "nbformat_minor": 5}
     (folder / f"{name}.ipynb").write_text(json.dumps(content))
+
+
+def write_chain(folder, contents, head=""):
+    """Notebooks of a checkout, name -> text of the cell that makes the product data/NAME; `head` begins chain.toml."""
+    entries = [f'[[notebook]]\nname = "{name}"\ntitle = "x"\nwrites = ["data/{name}"]\n' for name in contents]
+    (folder / "notebooks/chain.toml").write_text(head + "".join(entries))
+    for name, text in contents.items():
+        write_notebook(folder / "notebooks", [*CELLS[:2], text], name)

@@ -1,7 +1,4 @@
-"""Times of the solvers of the predictive controllers and of the runs of a study, as ratios within one run.
-
-`python -m railrepro bench` writes solve_times.csv and horizon_times.csv of data/results, and prints what a run of a
-study costs over its compiled loop. Times of different machines are never compared.
+"""Computation times of the solvers of the predictive controllers, and of the runs of a study, as ratios on one machine.
 
 Serves the paper's section Evaluation of Lateral Control (computation times).
 """
@@ -11,9 +8,10 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 from unittest.mock import patch
 
 import numpy as np
@@ -36,13 +34,10 @@ from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 SCENARIOS = *(f"curve_entry_T{k}" for k in range(1, 5)), "sine_tracking", "adhesion_loss", "braking"
 KINDS = ("ipopt", "gauss_newton", "rti", "ltv_mpc")
-WINDOW = 32
-"""Successive samples recorded per scenario."""
 
 
-@dataclass(frozen=True)
-class Recording:
-    """Name and route of a simulated scenario, and successive optimal control problems of the NMPC of its front gear."""
+class Recording(NamedTuple):
+    """Successive optimal control problems of the NMPC of the front gear in a scenario, with its name and route."""
 
     scenario: str
     route: Route
@@ -50,24 +45,21 @@ class Recording:
 
 
 class Recorder(NMPC):
-    """NMPC that appends each optimal control problem (`Problem`) to its list `problems` before it solves it."""
+    """NMPC that records each optimal control problem in its list `problems` before it solves it."""
 
     def __init__(self, *arguments) -> None:
         super().__init__(*arguments)
         self.problems: list[Problem] = []
 
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
-        """Record the problem, then plan as NMPC: torque du (N m) from states x_hat (6,) and base torque u_d (N m)."""
+        """Record the problem, then plan as `NMPC.plan`."""
         self.problems.append(self.problem(x_hat, u_d))
         return super().plan(x_hat, u_d)
 
 
-def record(name: str, settings: MPCSettings, vehicle: Vehicle, count: int = WINDOW) -> Recording:
-    """Simulate a scenario under NMPC and keep successive optimal control problems of the front gear.
-
-    `name` is the scenario in data/scenarios.toml; braking ends after 500 m. `settings` are those of the NMPC. `count`
-    is the number of problems kept; the first of them is the middle one of the run.
-    """
+def record(name: str, settings: MPCSettings, vehicle: Vehicle, count: int = 32) -> Recording:
+    """Simulate a scenario under NMPC with `settings` and record `count` problems from the middle of the run on. `name`
+    is the scenario in data/scenarios.toml; braking ends after 500 m."""
     scenario = scenarios.load_scenario(name)
     if name == "braking":
         scenario = scenario.but(end_m=500.0)
@@ -78,7 +70,7 @@ def record(name: str, settings: MPCSettings, vehicle: Vehicle, count: int = WIND
 
 
 def tightened(recording: Recording) -> Recording:
-    """Copy of a recording with active bounds: |du| <= 60 N m, and as soft bound |y| <= 0.6 max |set point of y|."""
+    """Copy of a recording in which bounds are active: |du| <= 60 N m, and softly |y| <= 0.6 max |set point of y|."""
     problems = recording.problems
     largest = max(np.abs(problem.ahead.x_d[:, Y]).max() for problem in problems)
     tight = replace(problems[0].settings, lateral_bound=0.6 * largest, yielding=True)
@@ -87,12 +79,9 @@ def tightened(recording: Recording) -> Recording:
 
 
 def solve_all(kind: str, recording: Recording, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-    """Solve the n problems of a recording in order, each warm-started by the previous one as in closed loop.
-
-    `kind` is the solver, one of `KINDS`. Returns a tuple: planned differential torques over the L steps of the horizon
-    (n, L) (N m); processor time per problem, with forecast and preparation (n,) (s); iterations (n,); number of
-    problems without a solution.
-    """
+    """Solve the n problems in order by a solver of `KINDS`, each warm-started by the previous one as in closed loop.
+    Returns a tuple: planned differential torques over the L steps of the horizon (n, L) (N m); processor time per
+    problem, with forecast and preparation (n,) (s); iterations (n,); number of problems without a solution."""
     first, torques = recording.problems[0], []
     limited = replace(vehicle, drive=replace(vehicle.drive, torque_limit=first.tau_max))
     given = limited, recording.route, 0, first.settings
@@ -104,16 +93,16 @@ def solve_all(kind: str, recording: Recording, vehicle: Vehicle) -> tuple[np.nda
     return np.array(torques), seconds, iterations, solver.fallbacks
 
 
-def solve_times(vehicle: Vehicle, settings: MPCSettings, names=SCENARIOS) -> pd.DataFrame:
+def solve_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
     """Compare the solvers `KINDS` on recorded problems: one row per solver and recording.
 
-    Each scenario of `names` is recorded under NMPC with `settings`, and gives two recordings: as it is, and
-    `tightened`. Columns: solver; scenario; n, number of problems; median_ms, p95_ms and max_ms, time per problem (ms);
+    Each of `SCENARIOS` is recorded under NMPC with `settings` and gives two recordings: as it is, and `tightened`.
+    Columns: solver; scenario; n, number of problems; median_ms, p95_ms and max_ms, time per problem (ms);
     iterations_median; ratio_to_ipopt, of the median times (-); failures, number of problems without a solution;
-    largest_torque_difference, largest difference from the torques of ipopt over the torque limit (-).
+    largest_torque_difference, from the torques of ipopt over the torque limit (-).
     """
     rows = []
-    plain = [record(name, settings, vehicle) for name in names]
+    plain = [record(name, settings, vehicle) for name in SCENARIOS]
     recordings = [recording for one in plain for recording in (one, tightened(one))]
     for recording in tqdm(recordings, desc="solvers", unit="scenario"):
         solved = {kind: solve_all(kind, recording, vehicle) for kind in KINDS}
@@ -130,8 +119,7 @@ def solve_times(vehicle: Vehicle, settings: MPCSettings, names=SCENARIOS) -> pd.
 
 def horizon_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
     """Solution times on curve entry T3 for horizons of 10 to 160 steps: one row per solver and length of the horizon.
-
-    `settings` of NMPC are kept but for steps. Columns solver, steps, and per problem median_ms and iterations_median.
+    `settings` are those of NMPC except steps. Columns solver, steps, and per problem median_ms and iterations_median.
     """
     rows = []
     for steps in tqdm((10, 20, 40, 80, 160), desc="horizons", unit="length"):
@@ -146,16 +134,14 @@ def horizon_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
 def study_times(
     controllers: Sequence[str] = ("ndi", "nmpc"), settings: Sequence[str] = (PAPER, LOOP), repeats: int = 5
 ) -> pd.DataFrame:
-    """Processor time of the runs of a tuning task, a row per controller and setting; nothing is read from the store.
-
-    Columns: setting; controller; run_ms and loop_ms, time of a run and of its compiled loop, of each run the median of
-    `repeats`, then the mean over the runs (ms); ratio of both (-).
-    """
+    """Measure the processor time of the runs of a tuning task without the store: one row per controller and setting.
+    Columns: setting; controller; run_ms and loop_ms, time of a run and of its compiled loop (ms), the mean over the
+    runs of the median of `repeats`; ratio of both (-)."""
     rows = []
     for setting, controller in product(settings, controllers):
         task, quick, tuned = load_task(setting=setting), CONTROLLERS[controller].quick, parameters(controller, setting)
         runs = [replace(run, controller=controller, parameters=tuned, options=quick) for run in task.runs.values()]
-        times = [[_study_time(run) for run in runs] for _ in range(1 + repeats)][1:]  # the first makes what they share
+        times = [[_study_time(run) for run in runs] for _ in range(1 + repeats)][1:]  # the first fills caches
         of_run, of_loop = 1e3 * np.median(times, axis=0).mean(axis=0)
         rows.append([setting, controller, of_run, of_loop, of_run / of_loop])
     return pd.DataFrame(rows, columns=["setting", "controller", "run_ms", "loop_ms", "ratio"])
@@ -179,7 +165,7 @@ def _study_time(run: Experiment) -> tuple[float, float]:
 
 
 def machine() -> str:
-    """Name of this machine's processor, as "AMD EPYC 7763"; its architecture where the name is unknown."""
+    """Name of the processor, as "AMD EPYC 7763"; its architecture where the name is unknown."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
     names = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
@@ -187,8 +173,7 @@ def machine() -> str:
 
 
 def main() -> None:
-    """Write and print solve_times.csv (all settings) and horizon_times.csv (setting "paper") of data/results, and print
-    `study_times`."""
+    """Command `bench`: write solve_times.csv and horizon_times.csv (setting "paper"), print them and `study_times`."""
     vehicle, of = load_vehicle(), {name: mpc_settings(parameters("nmpc", name)) for name in SETTINGS}
     solvers = pd.concat([solve_times(vehicle, settings).assign(setting=name) for name, settings in of.items()])
     tables = {"solve_times": solvers, "horizon_times": horizon_times(vehicle, of[PAPER])}

@@ -17,11 +17,9 @@ _SAVED = re.compile(r"save_figure\([^\n]*?[\"'](fig\d\d_\w+)[\"']")
 
 
 def html() -> Path:
-    """Make the book in build/html from the executed notebooks; returns the path of its first page.
-
-    Notebooks that were never executed are run first; stale ones are shown as last executed. InputError when a notebook
-    fails, Sphinx warns or its packages are missing.
-    """
+    """Make the book in build/html from the executed notebooks; returns the path of its first page. Notebooks without an
+    executed copy are run first; stale ones are shown as last executed. InputError when a notebook fails, Sphinx warns
+    or its packages are missing."""
     absent = [notebook.name for notebook in chain().values() if not notebook.executed.exists()]
     if absent and figures(absent):
         raise InputError("the book needs every notebook executed, see the lines above")
@@ -44,8 +42,7 @@ def html() -> Path:
 
 def chapter(notebook: Notebook) -> dict:
     """Page of the book (dict of nbformat) from an executed notebook: numbered title, links to chapters, captions."""
-    content = data.read(notebook.executed)
-    captions = data.read(paths.NOTEBOOKS / "book/captions.toml")
+    content, captions = data.read(notebook.executed), data.read(paths.NOTEBOOKS / "book/captions.toml")
     cells: list[dict] = []
     for cell in content["cells"]:
         text = "".join(cell["source"])
@@ -63,7 +60,7 @@ def chapter(notebook: Notebook) -> dict:
 
 
 def _display(formula: str) -> str:
-    """A displayed formula as an environment without numbers by Sphinx: it carries those of the paper."""
+    """Displayed formula in an environment that Sphinx does not number; its tag is the number in the paper."""
     if formula.startswith("\\begin{align}"):
         return "\n" + formula.replace("{align}", "{align*}") + "\n"
     return f"\n\\begin{{equation*}}\n{formula}\n\\end{{equation*}}\n"

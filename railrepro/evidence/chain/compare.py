@@ -18,10 +18,8 @@ _SHARE = Annotated[Number, between(0.0, 1.0)]
 
 @data.table
 class Own:
-    """Tolerance for one column of a table, an entry [[verify.own]] of notebooks/chain.toml.
-
-    `table` is a file name, `rows` a query of pandas that selects rows, `relative` the tolerance (-), `why` its reason.
-    """
+    """Tolerance for one column of a table, an entry [[verify.own]] of notebooks/chain.toml. `table` is a file name,
+    `rows` a query of pandas for the rows, `relative` the tolerance (-), `why` its reason."""
 
     table: str
     column: str
@@ -32,11 +30,9 @@ class Own:
 
 @data.table
 class Tolerance:
-    """Tolerances for the comparison of two runs, the table [verify] of notebooks/chain.toml.
-
-    `relative` is that of tables (-), `image_rms` that of images (RMS, grey levels of 255). `own` has tolerances of
-    single columns. Columns named in `not_compared` (computation times) may differ by any amount.
-    """
+    """Tolerances for the comparison of two runs, the table [verify] of notebooks/chain.toml. `relative` is for tables
+    (-), `image_rms` for images (RMS, grey levels of 255), `own` for single columns. Columns in `not_compared`
+    (computation times) may differ by any amount."""
 
     relative: _SHARE = 0.0
     image_rms: Annotated[Number, between(0.0, 255.0, "grey levels")] = 0.0
@@ -47,9 +43,9 @@ class Tolerance:
 def compare(committed: Path, rerun: Path, tolerance: Tolerance) -> pd.DataFrame:
     """Compare two tables (csv) or two images (png): one row per entry of a table, one row for an image.
 
-    Columns: name, the column with its metric, or in words what differs; apart, the difference (-); outcome, "same",
-    "within tolerance" or "different". In tables `apart` is relative to the largest magnitude under the same name, in
-    images the RMS of the levels, white being 1. A missing file, or another shape, is one row with `apart` inf.
+    Columns: name, the column with its metric, or in words what differs; apart, the difference (-); outcome, one of
+    `OUTCOMES`. In tables `apart` is relative to the largest magnitude under the same name, in images it is the RMS of
+    the levels, white being 1. A missing file, or another shape, is one row with `apart` inf.
     """
     for path in (committed, rerun):
         if not path.exists():
@@ -67,7 +63,7 @@ def compare(committed: Path, rerun: Path, tolerance: Tolerance) -> pd.DataFrame:
 
 
 def summary(entries: pd.DataFrame) -> str:
-    """Text with the number of entries per outcome and the largest difference, from a table of `compare`."""
+    """Number of entries per outcome and largest difference, as text, from a table of `compare`."""
     text = ", ".join(f"{(entries['outcome'] == outcome).sum()} {outcome}" for outcome in OUTCOMES)
     if entries["apart"].max() > 0:
         worst = entries.iloc[entries["apart"].argmax()]
@@ -76,13 +72,13 @@ def summary(entries: pd.DataFrame) -> str:
 
 
 def _judged(name, apart, limit) -> pd.DataFrame:
-    """Entries with their outcomes; arrays of one length, or numbers for a single one."""
+    """Table of `compare` from arrays of equal length, or from scalars for one row."""
     outcome = np.where(np.equal(apart, 0), SAME, np.where(apart <= limit, NEAR, DIFFERENT))
     return pd.DataFrame({"name": name, "apart": np.atleast_1d(apart), "outcome": np.atleast_1d(outcome)})
 
 
 def _column(table: pd.DataFrame, again: pd.DataFrame, column: str, file: str, tolerance: Tolerance) -> pd.DataFrame:
-    """Entries of a column of two tables; in the column `value` of a tidy table magnitudes are per metric."""
+    """Rows of `compare` for one column; in the column `value` of a tidy table magnitudes are per metric."""
     old, new = table[column], again[column]
     names = [name for name in ("metric", "quantity") if column == "value" and name in table]
     kind = table[names[0]].astype(str) if names else None

@@ -1,1 +1,1 @@
-"""Figures of the notebooks, verdicts and the report; serves the paper's section Multi-Body Simulation Results."""
+"""Verdicts on the statements, the report, and what notebooks show of it; serves Multi-Body Simulation Results."""

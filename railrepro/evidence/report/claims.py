@@ -1,7 +1,7 @@
-"""Verdicts on the paper's statements, in each setting of comparison; REPLICATION.md is rendered from them.
+"""Verdicts on the paper's statements in each setting of comparison.
 
-`data/claims.toml` has the rules, `railrepro.evidence.claims.statements` a predicate for each, data/results/claims.csv
-the accepted verdicts, `data/theses.toml` why a statement fails.
+data/claims.toml has the rules, `railrepro.evidence.claims.statements` a predicate for each, data/results/claims.csv
+the accepted verdicts, data/theses.toml the reasons why a statement fails.
 """
 
 from __future__ import annotations
@@ -17,69 +17,49 @@ from railrepro.evidence.uncertainty.robustness import shares
 
 FILE = "data/results/claims.csv"
 HEADLINE = PAPER
-"""Setting of comparison whose verdict is the headline verdict."""
+"""Setting of the headline verdicts."""
 FRAGILE, NO_VERDICT = "fragile", "no verdict"
-ORDER = (REPRODUCED, FRAGILE, PARTLY, TIE, NOT, UNTESTABLE)
-"""Verdicts, the best first."""
 _CONTRACT = {FRAGILE: PARTLY, TIE: NOT}
-"""Verdicts that the column `verdict` of claims.csv has no word for; `judged` has them all."""
+"""Verdicts of the column `judged` that the column `verdict` of claims.csv does not have -> the ones it has."""
 
 
-def evaluate(nominal: Nominal | None = None) -> pd.DataFrame:
-    """Verdicts from stored metrics (default `Nominal()`): one row per statement and setting of comparison.
+def evaluate(nominal: Nominal) -> pd.DataFrame:
+    """Judge all statements by stored metrics: one row per statement and setting of comparison.
 
-    A reproduced statement is fragile when the lower 95 % limit of its share of sampled cars is at most 0.5.
+    A reproduced statement is fragile when the lower 95 % limit of its share of sampled cars is at most 0.5. Columns:
 
-    Returns:
-        DataFrame: Columns
-        id, paper_ref, statement, kind, unit: The statement, from data/claims.toml.
-        setting: Setting of comparison; "" for a statement on no tuned controller, or without metrics.
-        paper_value, measured_value: In `unit`; NaN where there is none.
-        judged: Verdict, one of `ORDER`.
-        verdict: As `judged`, but "partly" for fragile and "not reproduced" for a tie.
-        share, share_low, share_high: Share of sampled cars on which it holds (-), with its 95 % limits.
-        evidence, data: Figure or table of the statement; path of the table that was judged.
-        calibrated: Whether it holds on the calibrated car: "yes", "no", or "" where that was not judged.
+    - id, paper_ref, statement, kind, unit, evidence (figure or table): the statement, from data/claims.toml;
+    - setting: setting of comparison; "" for a statement on no tuned controller, or without metrics;
+    - paper_value, measured_value: in `unit`, NaN where there is none; data: path of the table that was judged;
+    - judged: verdict, one of `page.MARKS`; verdict: the same, but "partly" for fragile and "not reproduced" for a tie;
+    - share, share_low, share_high: share of sampled cars on which it holds (-), with its 95 % limits;
+    - calibrated: whether it holds on the calibrated car: "yes", "no", or "" where that was not judged.
     """
-    nominal = nominal or Nominal()
     robust = shares(nominal.results("robustness_samples")).set_index(["id", "setting"])
     calibrated = nominal.on_calibrated_car()
-    found = {setting: statements.findings(nominal.evidence(setting)) for setting in (*nominal.settings(), "")}
+    findings = {setting: statements.findings(nominal.evidence(setting)) for setting in (*nominal.settings(), "")}
     rows = []
     for identity, rule in statements.load().items():
-        for setting in [one for one in nominal.settings() if identity in found[one]] or [""]:
-            finding = found[setting].get(identity)
+        for setting in [one for one in nominal.settings() if identity in findings[one]] or [""]:
+            finding = findings[setting].get(identity)
             sampled = robust.reindex([(identity, setting)]).iloc[0]
             judged = UNTESTABLE if finding is None else rule.judge(finding)
             if judged == REPRODUCED and sampled["low"] <= 0.5:
                 judged = FRAGILE
-            rows.append({
-                "id": identity,
-                "paper_ref": rule.section,
-                "statement": rule.statement,
-                "kind": rule.kind,
-                "setting": setting,
-                "paper_value": np.nan if rule.paper is None else rule.paper,
-                "measured_value": np.nan if finding is None else finding.value,
-                "unit": rule.unit,
-                "verdict": _CONTRACT.get(judged, judged),
-                "share": sampled["share"],
-                "share_low": sampled["low"],
-                "share_high": sampled["high"],
-                "evidence": rule.evidence,
-                "judged": judged,
-                "data": "" if finding is None else f"data/results/{statements.TABLES[identity]}.csv",
-                "calibrated": calibrated.get(identity, ""),
-            })  # fmt: skip
+            row = {"id": identity, "paper_ref": rule.section, "statement": rule.statement, "kind": rule.kind}
+            row |= {"setting": setting, "paper_value": np.nan if rule.paper is None else rule.paper}
+            row |= {"measured_value": np.nan if finding is None else finding.value, "unit": rule.unit}
+            row |= {"verdict": _CONTRACT.get(judged, judged), "share": sampled["share"]}
+            row |= {"share_low": sampled["low"], "share_high": sampled["high"], "evidence": rule.evidence}
+            table = "" if finding is None else f"data/results/{statements.TABLES[identity]}.csv"
+            rows.append(row | {"judged": judged, "data": table, "calibrated": calibrated.get(identity, "")})
     return pd.DataFrame(rows)
 
 
 def headline(rows: pd.DataFrame) -> str:
-    """Headline verdict of one statement: the one in the setting `paper`, or the one without a setting.
-
-    `rows` are the rows of one id from `evaluate`. Returns `NO_VERDICT` for an entry whose kind is not "statement", and
-    `UNTESTABLE` where neither row is there.
-    """
+    """Headline verdict of one statement: the one in the setting `paper`, or the one without a setting. `rows` are the
+    rows of one id from `evaluate`. Returns `NO_VERDICT` for an entry whose kind is not "statement", and `UNTESTABLE`
+    without such a row."""
     if set(rows["kind"]) != {"statement"}:
         return NO_VERDICT
     counts = rows[rows["setting"].isin(("", HEADLINE))]["judged"]

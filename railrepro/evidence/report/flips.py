@@ -1,6 +1,6 @@
 """Verdicts that flip with answers of the paper's authors to open questions: `python -m railrepro probe FILE.toml`.
 
-FILE.toml is a filled copy of data/answers.toml; answers change the set-up of the probe (`claims.probe`) in `paper`.
+FILE.toml is a filled copy of data/answers.toml. Answers change the setup of the probe (`claims.probe`) in `paper`.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ class Question:
     """Open question to the authors of the paper, an entry of data/answers.toml.
 
     `asks` is its text. `sets` are the names (keys of `claims.setup.setup`) that the answer sets. `parts` are the groups
-    of runs (`probe.PARTS`) that depend on it. `answer` has a value per name in `unit`; fewer values are repeated, and
-    () is no answer yet. ValueError when the number of values does not divide the number of names.
+    of runs (`probe.PARTS`) that depend on it. `answer` has a value in `unit` per name, or fewer values that are
+    repeated; () is no answer yet. ValueError when the number of values does not divide the number of names.
     """
 
     asks: str
@@ -42,7 +42,7 @@ class Question:
 
 
 def load(path: Path | str | None = None) -> dict[str, Question]:
-    """Open questions of a TOML file (default data/answers.toml): name -> `Question`; InputError for wrong entries."""
+    """Read the open questions of a TOML file (default data/answers.toml): name -> `Question`; else InputError."""
     file = data.location(path, paths.source("data/answers.toml"))
     questions = data.build(dict[str, Question], data.read(file), file.name)
     for name in [name for name, question in questions.items() if question.answer]:
@@ -54,26 +54,24 @@ def load(path: Path | str | None = None) -> dict[str, Question]:
 
 
 def _setup(answered: Iterable[Question]) -> ProbeSetup:
-    """Setup with the answers to questions. InputError for an answer that car, controllers or scenarios refuse."""
+    """Setup of the probe with answers to questions; InputError for one that car, controllers or scenarios refuse."""
     given = {key: value for each in answered for key, value in zip(each.sets, cycle(each.answer), strict=False)}
     return setup(given, given.pop("column", PAPER)).checked()
 
 
 def flips(answered: Mapping[str, Question]) -> pd.DataFrame:
-    """Verdicts before and after answers to open questions, one row per statement of the setting `paper`.
-
-    `answered` maps names to questions with an answer. Only the runs that depend on an answer are simulated again.
-    Columns id, statement (its text), before, after (verdicts).
-    """
-    probed = _setup(answered.values())  # a refused value stops it before anything runs
+    """Verdicts in the setting `paper` before and after answers to open questions: one row per statement. `answered`
+    maps names to questions with an answer. Only the runs that depend on an answer are simulated again. Columns id,
+    statement (its text), before, after (verdicts)."""
+    probed = _setup(answered.values())  # refuses a value before anything runs
     needed = {part for question in answered.values() for part in question.parts}
     rows = probe.probe(probed, [part for part in probe.PARTS if part in needed])
     known = Nominal().evidence(PAPER)
     scenarios = {scenario for scenario, *_ in rows}
-    told = {key.partition(":")[0] for question in answered.values() for key in question.sets}
     metrics = {key: value for key, value in dict(known.metrics).items() if key[0] not in scenarios}
-    # seeds of a swarm leave nothing open where the authors say what theirs found
-    spread = {key: value for key, value in known.spread.items() if key[1] not in told}
+    # a controller whose parameters the authors state has no scatter between swarms
+    stated = {key.partition(":")[0] for question in answered.values() for key in question.sets}
+    spread = {key: value for key, value in known.spread.items() if key[1] not in stated}
     before = statements.findings(known)
     after = statements.findings(Evidence(metrics | {row[:3]: row[3] for row in rows}, spread))
     found = []
@@ -84,18 +82,16 @@ def flips(answered: Mapping[str, Question]) -> pd.DataFrame:
 
 
 def main(settings: Sequence[str] = ()) -> None:
-    """Command `probe`: simulate what the statements need in `settings`, names of columns of verdicts (none: all).
-
-    Or, with the path of a filled copy of data/answers.toml: print the statements whose verdict its answers change.
-    """
+    """Command `probe`: simulate what the statements need in `settings`, columns of verdicts (default all). With the
+    path of a filled copy of data/answers.toml, print the statements whose verdict its answers change."""
     if not settings or not settings[0].endswith(".toml"):
-        return probe.main(settings)
+        probe.main(settings)
+        return
     answered = {name: question for name, question in load(settings[0]).items() if question.answer}
     if not answered:
         raise InputError(f"{Path(settings[0]).name}: has no answer")
-    found = flips(answered)
-    turned = found[found["before"] != found["after"]]
-    print(f"{len(answered)} answers, {len(found)} statements judged again, {len(turned)} verdicts flip:")
-    for row in turned.itertuples():
+    verdicts = flips(answered)
+    flipped = verdicts[verdicts["before"] != verdicts["after"]]
+    print(f"{len(answered)} answers, {len(verdicts)} statements judged again, {len(flipped)} verdicts flip:")
+    for row in flipped.itertuples():
         print(f"  {row.id}: {row.before} -> {row.after} ({row.statement})")
-    return None

@@ -28,6 +28,7 @@ from railrepro.tuning import sets
 from railrepro.tuning.task import load_task
 
 MARKS = {"reproduced": "✓", "fragile": "✓?", "partly": "◐", "tie": "=", "not reproduced": "✗", "not testable": "–"}
+"""Verdict, the best first -> its mark."""
 BEGIN, END = "<!-- written by `make report` from data/readme.md.j2 -->\n", "<!-- end of what is written -->\n"
 """Lines of README.md between which its results are written."""
 UNKNOWN = "n/a"
@@ -36,11 +37,9 @@ _LINK = re.compile(r"\[([^]]+)\]\(([^)]+)\)")
 
 @data.table
 class Thesis:
-    """Sentence of the report with the conditions under which it is true, an entry of data/theses.toml.
-
-    `says` is the text with Jinja expressions. `true` has Jinja conditions; the sentence is shown only if all hold.
-    `role` is the place in the report, `of` are the ids of the statements that the sentence explains.
-    """
+    """Sentence of the report with the conditions under which it is true, an entry of data/theses.toml. `says` is the
+    text, with Jinja expressions. It is shown only if all Jinja conditions of `true` hold. `role` is its place in the
+    report, `of` are the ids of the statements that it explains."""
 
     says: str
     true: Annotated[tuple[str, ...], data.NOT_EMPTY]
@@ -54,16 +53,14 @@ def theses() -> dict[str, Thesis]:
 
 
 def main() -> int:
-    """Command `report`: judge the statements; write claims.csv and the texts, which are made of the templates in data/.
-
-    Returns 1 when a sentence of data/theses.toml is not true, else 0.
-    """
+    """Command `report`: judge the statements; write claims.csv and the texts that are made of templates in data/.
+    Returns 1 when a sentence of data/theses.toml is not true, else 0."""
     nominal = Nominal()
     page = Page(claims.evaluate(nominal), nominal)
     write(paths.product(claims.FILE), page.contract().to_csv(index=False, float_format="%.4g"))
     write(paths.product("REPLICATION.md"), page.replication())
-    write(paths.product("figures/README.md"), page.gallery())
-    write(paths.product("codecheck.yml"), page.codecheck())
+    write(paths.product("figures/README.md"), page.render("gallery.md.j2"))
+    write(paths.product("codecheck.yml"), page.render("codecheck.yml.j2"))
     write(paths.product("README.md"), page.readme(paths.source("README.md").read_text(encoding="utf-8")))
     print(page.judged.groupby(["setting", "judged"], sort=False).size().to_string())
     refuted = page.refuted()
@@ -89,56 +86,37 @@ class Page:
         self.verdicts = {identity: claims.headline(rows) for identity, rows in judged.groupby("id", sort=False)}
         self.statements = {identity: one for identity, one in self.verdicts.items() if one != claims.NO_VERDICT}
         self.calibrated_car = nominal.on_calibrated_car()
-        self._jinja = jinja2.Environment(
-            undefined=jinja2.StrictUndefined,
-            loader=jinja2.FileSystemLoader(paths.DATA),
-            trim_blocks=True,
-            lstrip_blocks=True,
-            keep_trailing_newline=True,
-        )
+        spaces = dict.fromkeys(("trim_blocks", "lstrip_blocks", "keep_trailing_newline"), True)
+        loader = jinja2.FileSystemLoader(paths.DATA)
+        self._jinja = jinja2.Environment(undefined=jinja2.StrictUndefined, loader=loader, **spaces)
         self._jinja.filters |= {"linked": linked, "number": number}
         self._jinja.globals |= {name: getattr(self, name) for name in dir(self) if not name.startswith("_")}
-        self._jinja.globals |= {
-            "mark": {identity: MARKS.get(verdict) for identity, verdict in self.verdicts.items()},
-            "calibrated": judged.set_index("id")["calibrated"].map({"yes": "✓", "no": "✗", "": ""}).to_dict(),
-            "settings": COLUMNS,
-            "task": load_task(),
-            "choices": calibrated.load(),
-            "tuned": parameters,
-            "load": sets.load,
-            "scenario": load_scenario,
-            "csv": csv,
-            "marks": MARKS,
-            "order": claims.ORDER,
-        }
+        on_calibrated = judged.set_index("id")["calibrated"].map({"yes": "✓", "no": "✗", "": ""}).to_dict()
+        mark = {identity: MARKS.get(verdict) for identity, verdict in self.verdicts.items()}
+        self._jinja.globals |= {"mark": mark, "marks": MARKS, "calibrated": on_calibrated, "settings": COLUMNS}
+        self._jinja.globals |= {"task": load_task(), "choices": calibrated.load(), "csv": csv}
+        self._jinja.globals |= {"tuned": parameters, "load": sets.load, "scenario": load_scenario}
 
     def replication(self) -> str:
         """Text of REPLICATION.md."""
-        text = self._render("replication.md.j2", questions=flips.load().values())
+        text = self.render("replication.md.j2", questions=flips.load().values())
         return "## ".join(_linked_once(section) for section in text.split("## "))
 
-    def gallery(self) -> str:
-        """Text of figures/README.md (Markdown): the figures of each chapter of the book with their captions."""
-        return self._render("gallery.md.j2")
-
-    def codecheck(self) -> str:
-        """Text of codecheck.yml: figures and tables of each chapter, as a CODECHECK (codecheck.org.uk) wants them."""
-        return self._render("codecheck.yml.j2")
-
-    def _render(self, template: str, **more) -> str:
-        """A template that has the chain of notebooks (`chapters`, `verify`) and the captions of figures."""
+    def render(self, template: str, **more) -> str:
+        """Render a template in data/, which may use the chain of notebooks (`chapters`, `verify`), the captions of
+        figures and the values `more`."""
         chain, captions = (data.read(paths.NOTEBOOKS / name) for name in ("chain.toml", "book/captions.toml"))
-        own = {"chapters": chain["notebook"], "verify": chain["verify"], "captions": captions}
-        return self._jinja.get_template(template).render(own | more)
+        more |= {"chapters": chain["notebook"], "verify": chain["verify"], "captions": captions}
+        return self._jinja.get_template(template).render(more)
 
     def readme(self, text: str) -> str:
-        """The old `text` of README.md with new results between the lines `BEGIN` and `END`; ValueError without them."""
+        """Replace the results between the lines `BEGIN` and `END` in the text of README.md."""
         head, rest = text.split(BEGIN)
         _, tail = rest.split(END)
         return head + BEGIN + self._jinja.get_template("readme.md.j2").render() + END + tail
 
     def contract(self) -> pd.DataFrame:
-        """Content of claims.csv: `judged` without column data, with column why (text: reasons if not reproduced)."""
+        """Content of claims.csv: `judged` without the column data, with why: the reasons where it is not reproduced."""
         reasons, table = self.sentences("why"), self.judged.drop(columns="data")
         why = pd.Series([" ".join(says for of, says in reasons if identity in of) for identity in table["id"]])
         fails = (self.judged["judged"] != REPRODUCED) & (self.judged["data"] != "")
@@ -146,11 +124,11 @@ class Page:
         return table
 
     def text(self, text: str) -> str:
-        """Render a text with Jinja expressions, such as `Thesis.says`."""
+        """Evaluate the Jinja expressions of a text, such as `Thesis.says`."""
         return self._jinja.from_string(text).render()
 
     def true(self, condition: str) -> bool:
-        """Whether a Jinja condition (text, as in `Thesis.true`) holds; False when the results lack a needed value."""
+        """Whether a Jinja condition, as in `Thesis.true`, holds; False when the results lack a needed value."""
         try:
             return bool(self._jinja.compile_expression(condition, undefined_to_none=False)())
         except MissingEvidence:
@@ -158,29 +136,26 @@ class Page:
 
     def refuted(self) -> dict[str, list[str]]:
         """Sentences of data/theses.toml that are not true: name -> list of the conditions that do not hold."""
-        found = {name: [c for c in thesis.true if not self.true(c)] for name, thesis in theses().items()}
-        return {name: wrong for name, wrong in found.items() if wrong}
+        wrong = {name: [c for c in thesis.true if not self.true(c)] for name, thesis in theses().items()}
+        return {name: conditions for name, conditions in wrong.items() if conditions}
 
     def sentences(self, role: str) -> list[tuple[list[str], str]]:
-        """True sentences of a role, as pairs (ids, text).
-
-        `role` is "summary", "why", "holds_if" or "readme". `ids` are the statements that the sentence explains and
-        whose headline verdict is not "reproduced". `text` is the rendered `Thesis.says`.
-        """
-        said = [thesis for thesis in theses().values() if thesis.role == role and all(map(self.true, thesis.true))]
-        still = [i for i, verdict in self.statements.items() if verdict != REPRODUCED]
-        return [([i for i in thesis.of if i in still], self.text(thesis.says)) for thesis in said]
+        """True sentences of a role (`Thesis.role`) as pairs (ids, text). `ids` are the statements that the sentence
+        explains and whose headline verdict is not "reproduced"."""
+        true = [thesis for thesis in theses().values() if thesis.role == role and all(map(self.true, thesis.true))]
+        failing = [i for i, verdict in self.statements.items() if verdict != REPRODUCED]
+        return [([i for i in thesis.of if i in failing], self.text(thesis.says)) for thesis in true]
 
     def e(self, setting: str, scenario: str, controller: str, metric: str) -> float:
-        """Value (SI) of a metric of a controller in a scenario and setting, see `statements.Evidence.__call__`."""
+        """Metric (SI) of a controller in a scenario and setting, see `statements.Evidence.__call__`."""
         return self.nominal.evidence(setting)(scenario, controller, metric)
 
     def q(self, setting: str, scenario: str, controller: str, metric: str, unit: str = "") -> str:
-        """Markdown link "[value unit](its table)" of a metric: value of `e` in `unit`, three digits (`quantity`)."""
+        """Markdown link "[value unit](its table)" of the metric `e` in `unit`, with three digits (`quantity`)."""
         return linked(self.e(setting, scenario, controller, metric), METRICS, unit)
 
     def sudden(self, metric: str, controller: str) -> list[float]:
-        """Values (SI) of a metric of a controller in the four sudden losses of adhesion, in the setting "paper"."""
+        """Metric (SI) of a controller in each of the four sudden losses of adhesion, in the setting "paper"."""
         return [self.e(PAPER, case, controller, metric) for case in statements.SUDDEN]
 
     def find(self, identity: str, setting: str) -> Finding:
@@ -195,16 +170,14 @@ class Page:
 
     def table(self, name: str) -> pd.DataFrame:
         """Read data/results/NAME.csv; MissingEvidence when there is no such file."""
-        found = self.nominal.results(name)
-        if found is None:
+        table = self.nominal.results(name)
+        if table is None:
             raise MissingEvidence(name)
-        return found
+        return table
 
     def cell(self, name: str, column: str, **where):
-        """Value in `column` of data/results/NAME.csv, in the only row whose columns have the values `where`.
-
-        MissingEvidence when there is no such file, or not exactly one such row.
-        """
+        """Value in `column` of the only row of data/results/NAME.csv whose columns have the values `where`.
+        MissingEvidence without such a file, or unless there is exactly one such row."""
         table = self.table(name)
         rows = table.loc[np.logical_and.reduce([table[key] == value for key, value in where.items()]), column]
         if len(rows) != 1:
@@ -212,7 +185,7 @@ class Page:
         return rows.iloc[0]
 
     def tuned_rmse(self, controller: str, setting: str) -> float:
-        """RMSE of y (m) on T3 with the tuned set of a controller in a setting, from settings_metrics.csv."""
+        """RMSE of y (m) on T3 with the best tuned set of a controller in a setting, from settings_metrics.csv."""
         seed = min(sets.load(controller, setting)["swarms"], key=lambda swarm: swarm["cost"])["seed"]
         where = {"scenario": "curve_entry_T3", "setting": setting, "controller": controller, "swarm": seed}
         return self.cell("settings_metrics", "value", metric="rmse_y", **where)
@@ -222,19 +195,19 @@ class Page:
         return float(statements.usual_times(self.nominal.evidence(PAPER), solver, column).median())
 
     def value(self, identity: str) -> str:
-        """Value behind the headline verdict of a statement (id, as "C05") as Markdown: "[value unit](its table)"."""
-        own = self.judged[(self.judged["id"] == identity) & self.judged["setting"].isin(("", claims.HEADLINE))]
-        row = own.iloc[-1]
+        """Markdown link "[value unit](its table)" of the value behind the headline verdict of a statement."""
+        headline = self.judged["setting"].isin(("", claims.HEADLINE))
+        row = self.judged[(self.judged["id"] == identity) & headline].iloc[-1]
         return linked(number(row["measured_value"], row["unit"]), row["data"])
 
 
 def csv(relative: str) -> pd.DataFrame:
-    """Read a csv file, given by its path in the repository, with all cells as text and empty ones as ""."""
+    """Read a CSV file by its path in the repository, with all cells as text and empty ones as ""."""
     return pd.read_csv(paths.source(relative), dtype=str).fillna("")
 
 
 def quantity(value: float, unit: str = "") -> str:
-    """Text of an SI value with three digits in `unit` (SI, "mm" or "%"); "derailed" for inf, "n/a" for NaN."""
+    """Text of an SI value with three digits in `unit` (SI, "mm" or "%"); "derailed" for inf, `UNKNOWN` for NaN."""
     if not np.isfinite(value):
         return UNKNOWN if np.isnan(value) else "derailed"
     shown = {"mm": 1e3, "%": 100.0}.get(unit, 1.0) * value
@@ -243,16 +216,14 @@ def quantity(value: float, unit: str = "") -> str:
 
 def linked(value: float | str, table: str, unit: str = "") -> str:
     """Markdown link "[value](path of table)"; `value` is a text, or an SI number that `quantity` shows in `unit`.
-
-    `table` is a name in data/results or a path. With "" for `table`, or NaN for `value`, the text has no link.
-    """
+    `table` is a name in data/results or a path; without it, or for a `value` NaN, the text has no link."""
     shown = value if isinstance(value, str) else quantity(float(value), unit)
     path = table if "/" in table else f"data/results/{table}.csv"
     return f"[{shown}]({path})" if table and shown != UNKNOWN else shown
 
 
 def _linked_once(section: str) -> str:
-    """Keep the first link to each file; later ones become their text."""
+    """Replace all but the first link to each file by their text."""
     seen: set[str] = set()
 
     def first(link: re.Match) -> str:
@@ -264,7 +235,7 @@ def _linked_once(section: str) -> str:
 
 
 def number(value: float, unit: str = "") -> str:
-    """Value of a statement as text with unit, three digits, four near 1; "a run failed" for inf, "no value" for NaN."""
+    """Value of a statement with unit, in three digits (four near 1); "a run failed" for inf, "no value" for NaN."""
     if np.isnan(value):
         return "no value"
     shown = f"{value:.4g}" if abs(value - 1) < 0.01 else f"{value:.3g}"

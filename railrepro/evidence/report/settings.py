@@ -1,4 +1,4 @@
-"""Runs of all tuned sets in the settings of comparison, and their table of metrics."""
+"""Runs of all tuned sets in the settings of comparison, and the table of their metrics."""
 
 from __future__ import annotations
 
@@ -23,27 +23,22 @@ CASES: dict[str, tuple[str, str, float, dict]] = {
     "adhesion_loss_stressed": ("poor rail, stressed", "adhesion_loss", 700, {"plant": {"drive.lag": 7.5e-3}}),
 }
 """Name of a case -> title, scenario, length of the run (m), further fields of `Experiment`."""
-_UNITS = {
-    **{"rmse_y": "m", "followed_rmse_y": "m", "effort_du": "N m", "activity_du": "N m"},
-    **{"largest_error": "m", "utilisation": "-", "failed_at_m": "m"},
-}
+_UNITS = {"rmse_y": "m", "followed_rmse_y": "m", "effort_du": "N m", "activity_du": "N m"}
+_UNITS |= {"largest_error": "m", "utilisation": "-", "failed_at_m": "m"}
 
 
 def experiments(
     names: Sequence[str], cases: Sequence[str], noise_seeds: Sequence[int], swarms: int | None, scale: float,
     stress: Mapping[str, float],
 ) -> list[Experiment]:  # fmt: skip
-    """Experiments with all tuned sets in all settings of comparison, for the cases of `CASES`.
+    """Experiments with the tuned sets of controllers in all settings of comparison, for the keys `cases` of `CASES`.
 
-    Args:
-        names (sequence of str): Controllers. Those of `BY_SWARM` drive in the setting `paper` only.
-        cases (sequence of str): Keys of `CASES`.
-        noise_seeds (sequence of int): Seeds of the sensors in the setting `loop`; all but the best set have the first.
-        swarms (int or None): Number of sets per controller, of the swarms with the lowest cost; None for all.
-        scale (float): Factor on the length of the runs (-).
-        stress (mapping): Changes of data/sensors.toml in cases that end with "stressed", as {"inverter.gain": 1.2}.
+    `names` are controllers; those of `BY_SWARM` drive in the setting `paper` only. In the setting `loop` the best set
+    has all of `noise_seeds`, seeds of the sensors, the others only the first. `swarms` is the number of sets per
+    controller, those with the lowest cost (None: all). `scale` is a factor on the length of the runs (-). `stress` are
+    changes of data/sensors.toml in cases that end with "stressed", as {"inverter.gain": 1.2}.
     """
-    found = []
+    runs = []
     pairs = [pair for pair in product(SETTINGS, names) if pair[0] != LOOP or pair[1] not in BY_SWARM]
     for setting, name in pairs:
         tuned = sets.load(name, setting)
@@ -56,19 +51,16 @@ def experiments(
                 stressed = stress if case.endswith("stressed") else {}
                 sensors = {"seed": seed} if setting == LOOP else {"perfect": True} if stressed else {}
                 label = {"case": case, "setting": setting, "swarm": swarm["seed"], "seed": seed}
-                way = load_scenario(scenario).but(end_m=scale * end)
-                quick = CONTROLLERS[name].quick
+                short, quick = load_scenario(scenario).but(end_m=scale * end), CONTROLLERS[name].quick
                 more = more | {"sensors": sensors | dict(stressed)}
-                found.append(Experiment(way, name, label, swarm["parameters"], quick, **more))
-    return found
+                runs.append(Experiment(short, name, label, swarm["parameters"], quick, **more))
+    return runs
 
 
 def metrics(table: pd.DataFrame) -> pd.DataFrame:
-    """Long form of a table of runs, as stored in data/results/settings_metrics.csv: a row per run and metric.
-
-    `table` has one row per run of `experiments`, from `run_all`. Columns of the result: scenario (the case),
-    controller, metric, value (in `unit`), unit, setting, swarm (its seed), seed (of the sensors).
-    """
+    """Tidy table of settings_metrics.csv, one row per run and metric, from the table of `run_all` of `experiments`.
+    Columns: scenario (the case), controller, metric, value (in `unit`), unit, setting, swarm (its seed), seed (of the
+    sensors)."""
     keys = ["scenario", "controller", "setting", "swarm", "seed"]
     wide = table.drop(columns="scenario").rename(columns={"case": "scenario"}).reindex(columns=[*keys, *_UNITS])
     tidy = wide.melt(keys, var_name="metric").dropna()
