@@ -261,7 +261,7 @@ def _numbers(text: pd.DataFrame, refuse: Callable) -> dict[str, np.ndarray]:
     for column in text:
         values[column] = number = pd.to_numeric(text[column], errors="coerce").to_numpy(dtype=float)
         low, high, unit = _ALLOWED[column]
-        bounds = f"up to {high:g}" if math.isfinite(high) else f"of {low:g} up to {high:g}"
+        bounds = f"up to {high:g}" if math.isfinite(high) else f"of at least {low:g}"
         inside = (np.abs(number) >= low) & (np.abs(number) <= high)
         refuse(column, ~inside, f"a number {bounds} {unit} is needed (unit?)")
     p = values["p_m"]
