@@ -1,10 +1,7 @@
-"""Creep forces between wheel and rail: Kalker's coefficients, and Polach's law.
-
-Serves eq. (4) and Fig. 2 of the paper, which name no law. Polach's has the falling branch that adhesion control needs.
-Its mean / largest errors relative to the friction force, against half spaces in steady rolling with a/b from 0.7 to 2:
-0.02 / 0.03 without spin, 0.02 / 0.04 with the spin of a cone, 0.04 / 0.09 with that of S1002 on dry rail, 0.07 / 0.23
-with 2.5 times that.
-"""
+"""Creep forces between wheel and rail: Kalker's coefficients, and Polach's law, which has the falling branch that
+adhesion control needs. Its mean / largest errors relative to the friction force, against half spaces in steady rolling
+with a/b from 0.7 to 2: 0.02 / 0.03 without spin, 0.02 / 0.04 with the spin of a cone, 0.04 / 0.09 with that of S1002 on
+dry rail, 0.07 / 0.23 with 2.5 times that. Serves eq. (4) and Fig. 2 of the paper, which name no law."""
 
 from __future__ import annotations
 
@@ -46,17 +43,14 @@ _SPINNING = 1.4
 _PLAIN = 0.4, 2.0  # range of a/b in which `strip_coefficients` fits straight lines: that of S1002 on 60E1
 
 
-def kalker_coefficients(ratio, poisson: float = 0.28) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Kalker's creep coefficients c11, c22, c23, c33 (-) of an elliptic contact, each in the shape of `ratio`.
-
-    `ratio` is the semi-axis ratio a/b, with a along and b across the rail, clipped to 0.1 to 10. `poisson` is Poisson's
-    ratio, 0 to 0.5. Source: Kalker 1990, Table E3; parabola over Poisson's ratio, spline over the logarithm of a/b.
-    """
+def kalker_coefficients(ratio, poisson: float = 0.28) -> tuple[np.ndarray, ...]:
+    """Kalker's creep coefficients c11, c22, c23, c33 (-) of an elliptic contact, each in the shape of `ratio`. `ratio`
+    is the semi-axis ratio a/b, with a along and b across the rail, clipped to 0.1 to 10. `poisson` is Poisson's ratio,
+    0 to 0.5. Source: Kalker 1990, Table E3; parabola over Poisson's ratio, spline over the logarithm of a/b."""
     weights = [np.prod([(poisson - q) / (p - q) for q in _POISSON if q != p]) for p in _POISSON]
     table = np.stack(np.split(_TABLE[:, 1:], 4, axis=1)) @ weights
     spline = CubicSpline(np.log(_TABLE[:, 0]), np.log(table.T))
-    c11, c22, c23, c33 = np.moveaxis(np.exp(spline(np.log(np.clip(ratio, 0.1, 10.0)))), -1, 0)
-    return c11, c22, c23, c33
+    return tuple(np.moveaxis(np.exp(spline(np.log(np.clip(ratio, 0.1, 10.0)))), -1, 0))
 
 
 @lru_cache
@@ -103,7 +97,7 @@ def strip_coefficients(half_length: np.ndarray, position: np.ndarray, poisson: f
 
 def polach(
     nu_x, nu_y, spin, load, a, b, c11, c22, c23, c33, shear_modulus, k_a, k_s, mu0, a_ratio, b_decay, slip_speed
-):  # fmt: skip
+):
     """Creep forces on a wheel: Polach's resultant with falling friction, in the direction of Kalker's linear force.
 
     The linear force includes spin, so small creepages of any mixture agree with linear theory. The moment about the
@@ -118,7 +112,8 @@ def polach(
         load, shear_modulus, slip_speed: Normal force (N), shear modulus (Pa), sliding speed of the contact (m/s).
         a, b: Semi-axes of the contact along and across the rail (m).
         c11, c22, c23, c33: Kalker's coefficients (-).
-        k_a, k_s, mu0, a_ratio, b_decay: As in `AdhesionSet`.
+        k_a, k_s: Reduction factors in the areas of adhesion and of slip (-); a k_s above k_a counts as k_a.
+        mu0, a_ratio, b_decay: Friction at rest (-), its ratio at high slip speed (-), decay over slip speed (s/m).
 
     Returns:
         F_x, F_y: Tangential force on the wheel (N), never larger than the friction force.
@@ -146,11 +141,9 @@ def elementary(*values):
 
 def adhesion_maximum(adhesion, speed: float, load: float, a: float, b: float, coefficients, shear_modulus: float):
     """Adhesion maximum in pure traction: largest creep force over normal force (-), and the longitudinal creepage at
-    which it occurs (-), searched from 1e-5 to 0.5.
-
-    `adhesion` is an `AdhesionSet`, `speed` the running speed (m/s), `coefficients` are c11, c22, c23, c33 (-). The
-    other arguments are as in `polach`.
-    """
+    which it occurs (-), searched from 1e-5 to 0.5. `adhesion` is an `AdhesionSet`, `speed` the running speed (m/s),
+    `load` the normal force (N), `a` and `b` are the semi-axes of the contact along and across the rail (m),
+    `coefficients` c11, c22, c23, c33 (-). The shear modulus is in Pa."""
     slip = np.geomspace(1e-5, 0.5, 20_000)
     law = *coefficients, shear_modulus, *astuple(adhesion), slip * speed
     force, *_ = polach(-slip, 0.0, 0.0, load, a, b, *law)

@@ -12,18 +12,16 @@ from scipy.special import ellipe, ellipk
 
 _FLAT = np.geomspace(0.1, 1.0, 400)
 _CELLS = 24, 72  # of the fine grid along and across the rail; the coarse grid has half as many in each direction
-_REACH = 1.3e-4  # gap of the undeformed profiles up to which they may touch (m); no wheel here approaches that far
+_REACH = 1.3e-4  # gap of the undeformed profiles up to which they may touch (m), more than any wheel here approaches
 _TOLERANCE = 1e-4  # change of the pressure in an iteration, relative to the load, below which it has converged (-)
 _TURNS, _TURNED = 4, 0.05  # largest number of iterations over the contact angle, and change that ends them (rad)
 
 
 def hertz(curvature_x: float, curvature_y: float, load: float, modulus: float) -> tuple[float, float]:
-    """Semi-axes along and across the rail (m) of the elliptic contact of two bodies; ratio limited to 0.1 to 10.
-
-    The gap between the bodies is curvature_x x^2/2 + curvature_y y^2/2 with x along the rail; both curvatures (1/m) are
+    """Semi-axes along and across the rail (m) of the elliptic contact of two bodies; ratio limited to 0.1 to 10. The
+    gap between the bodies is curvature_x x^2/2 + curvature_y y^2/2 with x along the rail; both curvatures (1/m) are
     positive. `load` is the normal force (N), `modulus` the contact modulus E* (Pa). Source: Johnson 1985, Contact
-    Mechanics, section 4.2.
-    """
+    Mechanics, section 4.2."""
     m = 1 - _FLAT**2
     with np.errstate(invalid="ignore"):
         known = np.where(m > 0, (ellipe(m) / _FLAT**2 - ellipk(m)) / (ellipk(m) - ellipe(m)), 1.0)
@@ -93,12 +91,10 @@ def elastic_contact(position, height, slope, rail_depth, radius: float, load: fl
 
 
 def half_space_pressure(gap: np.ndarray, load: float, sides: tuple[float, float], modulus: float) -> np.ndarray:
-    """Normal pressure between two elastic half spaces (Pa), in the shape of `gap`; 0 where they do not touch.
-
-    `gap` (m), shape (nx, ny), is the distance between the undeformed surfaces on a grid with the steps `sides` in x and
-    y (m). `load` is the normal force (N), `modulus` the contact modulus E* (Pa). ArithmeticError if the pressure has
-    not settled after 500 iterations. Source: Polonsky and Keer 1999 (conjugate gradients).
-    """
+    """Normal pressure between two elastic half spaces (Pa), in the shape of `gap`; 0 where they do not touch. `gap`
+    (m), shape (nx, ny), is the distance between the undeformed surfaces on a grid with the steps `sides` in x and y
+    (m). `load` is the normal force (N), `modulus` the contact modulus E* (Pa). ArithmeticError if the pressure has not
+    settled after 500 iterations. Source: Polonsky and Keer 1999 (conjugate gradients)."""
     shape = [2 * n for n in gap.shape]
     transform = fft.rfft2(_influence(gap.shape, sides, modulus))
 
@@ -135,8 +131,7 @@ def _influence(shape: tuple[int, ...], sides: tuple[float, float], modulus: floa
     """Deflection at grid distances from a cell under unit pressure (m/Pa), wrapped for the FFT. Source: Love 1929."""
     x, y = np.meshgrid(*(fft.fftfreq(2 * n, 1 / (2 * n)) * d for n, d in zip(shape, sides, strict=True)), indexing="ij")
     total = np.zeros_like(x)
-    for sign_x in (1, -1):
-        for sign_y in (1, -1):
-            u, v = x + sign_x * sides[0] / 2, y + sign_y * sides[1] / 2
-            total = total + sign_x * sign_y * (u * np.arcsinh(v / np.abs(u)) + v * np.arcsinh(u / np.abs(v)))
+    for sign_x, sign_y in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        u, v = x + sign_x * sides[0] / 2, y + sign_y * sides[1] / 2
+        total = total + sign_x * sign_y * (u * np.arcsinh(v / np.abs(u)) + v * np.arcsinh(u / np.abs(v)))
     return total / (np.pi * modulus)

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 MM = 1e-3
-TAPE_CIRCLE = 0.75
-"""Distance of the tape circle from the track centre, wheels centred (m): half of 1360 mm back to back, plus 70 mm."""
+TAPE_CIRCLE = 0.75  # distance of the tape circle from the track centre (m): half of 1360 mm back to back, plus 70 mm
 GAUGE, GAUGE_DEPTH = 1.435, 0.014  # track gauge, and depth below the top of the rails at which it is measured (m)
 INCLINATION = np.arctan(1 / 40)  # of the rail towards the track centre (rad)
 
@@ -49,10 +48,8 @@ _S1002 = (
 
 def s1002(lateral) -> tuple[np.ndarray, np.ndarray]:
     """Wheel profile S1002: radius minus the nominal radius (m), and its derivative (-), each in the shape of `lateral`.
-
     `lateral` is the distance from the tape circle (m), -0.07 to 0.06. Source: EN 13715 (UIC 510-2), S1002 with a flange
-    28 mm high and 32.5 mm thick.
-    """
+    28 mm high and 32.5 mm thick."""
     s = np.asarray(lateral, dtype=float) / MM
     zones = [s >= limit for limit, _, _ in _S1002]
     height = np.select(zones, [f(s) for _, f, _ in _S1002], np.nan)
@@ -66,11 +63,9 @@ _SIDE_SLOPE = 20.0
 
 
 def rail_head(lateral) -> np.ndarray:
-    """Depth of the head of an upright 60E1 rail below its crown (m), in the shape of `lateral`.
-
-    `lateral` is the distance from the axis of symmetry (m), up to 0.036 to both sides. Source: EN 13674-1, radii 300,
-    80 and 13 mm; the ends of the arcs are fitted to measured points within 2 micrometres.
-    """
+    """Depth of the head of an upright 60E1 rail below its crown (m), in the shape of `lateral`. `lateral` is the
+    distance from the axis of symmetry (m), up to 0.036 to both sides. Source: EN 13674-1, radii 300, 80 and 13 mm; the
+    ends of the arcs are fitted to measured points within 2 micrometres."""
     y = np.abs(np.asarray(lateral, dtype=float)) / MM
     inside, depths = [], []
     centre, z = 0.0, _HEAD[0][0]

@@ -23,18 +23,15 @@ from railrepro.contact.creep import elementary, kalker_coefficients, strip_coeff
 from railrepro.data import InputError, require
 from railrepro.vehicle.parameters import Vehicle
 
-_LINEAR = (
-    *("rolling_radius", "rail_contact", "semi_axis_x", "semi_axis_y"),
-    *("c11", "c22", "c23", "c33", "normal_stiffness"),
-)
-CELL_COLUMNS = (
-    *("shift", "width", "effective_radius", "radius_slope", "radius_square", "radius_cube"),
-    *(column for name in _LINEAR for column in (name, f"d{name}")),
-)
+_ELLIPSE = ("semi_axis_x", "semi_axis_y", "c11", "c22", "c23", "c33")
+_LINEAR = ("rolling_radius", "rail_contact", *_ELLIPSE, "normal_stiffness")
+_USED = ("shift", "effective_radius", "angle_rad", *_LINEAR)  # columns, without units, that determine the cells
+_CUBIC = ("shift", "width", "effective_radius", "radius_slope", "radius_square", "radius_cube")
+CELL_COLUMNS = (*_CUBIC, *(column for name in _LINEAR for column in (name, f"d{name}")))
 """Entries of a cell of the table (SI): shift at its start, its width, the coefficients of the effective radius as a
 cubic in the offset from the start; for each other quantity its value at the start and its slope (d…) over the shift."""
-_BEYOND = 1e-12  # extension of a cell beyond its ends (m): at a node, also a rounded one, derivatives are those inside
-_PATCH = ("semi_axis_x_m", "semi_axis_y_m", "c11", "c22", "c23", "c33")
+_BEYOND = 1e-12  # cells extend so far beyond their ends (m) that a node, even if rounded, has their derivatives
+_PATCH = ("semi_axis_x_m", "semi_axis_y_m", *_ELLIPSE[2:])
 
 
 @dataclass(frozen=True)
@@ -53,19 +50,13 @@ class ContactTable:
 
     def cells(self) -> np.ndarray:
         """Coefficients to interpolate between the n rows of `frame`, shape (n - 1, len(CELL_COLUMNS)), SI, read-only.
-
         Row i covers the shifts from row i to row i + 1 of `frame`. The effective radius is a cubic with continuous
         slope, all else is linear. InputError if `frame` lacks a column, has a value that is not a finite number, or its
-        shifts are not uniformly spaced from below to above 0. Source: de Boor, A Practical Guide to Splines, ch. IV.
-        """
+        shifts are not uniformly spaced from below to above 0. Source: de Boor, A Practical Guide to Splines, ch. IV."""
         require("contact table: frame", self.frame, pd.DataFrame)
         given = {name.removesuffix("_m"): column for name, column in self.frame.items()}
         used = [for_c(f"contact table: {name}", given.get(name), (len(self.frame),)) for name in _USED]
         return _cells(np.array(used).tobytes())
-
-
-_USED = ("shift", "effective_radius", "angle_rad", *_LINEAR)
-"""Columns of a contact table that determine its cells, without units."""
 
 
 @lru_cache(maxsize=16)
@@ -166,12 +157,10 @@ def _rail() -> tuple[np.ndarray, np.ndarray]:
 
 
 def section(shift: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Cross-section of an S1002 wheel, shifted towards its flange by `shift` (m), on a 60E1 rail at 1:40.
-
-    Returns arrays of shape (n,): lateral distance from the track centre (m); radius of the wheel profile minus the
-    nominal radius (m); slope of the profile (-), positive where the radius grows towards the flange; depth of the rail
-    below its top (m).
-    """
+    """Cross-section of an S1002 wheel, shifted towards its flange by `shift` (m), on a 60E1 rail at 1:40. Returns
+    arrays of shape (n,): lateral distance from the track centre (m); radius of the wheel profile minus the nominal
+    radius (m); slope of the profile (-), positive where the radius grows towards the flange; depth of the rail below
+    its top (m)."""
     position, depth = _rail()
     height, slope = profiles.s1002(position - profiles.TAPE_CIRCLE - shift)
     return position, height, -slope, depth
@@ -179,13 +168,10 @@ def section(shift: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
 
 @stored
 def pair_table(radius: float, load: float, modulus: float, poisson: float, stiffness: float) -> ContactTable:
-    """Table of S1002 on 60E1 at 1:40, averaged over the elastic patch, with a row every 0.1 mm.
-
-    `radius` is the nominal rolling radius (m), `load` the normal force (N), `modulus` the contact modulus E* (Pa),
-    `poisson` Poisson's ratio (-). The effective radius is the integral of the mean slope. The Hertz `stiffness`
-    (N/m^1.5) is the same at every shift, otherwise the contact would generate energy. Source: Kalker 1990,
-    Three-Dimensional Elastic Bodies in Rolling Contact.
-    """
+    """Table of S1002 on 60E1 at 1:40, averaged over the elastic patch, with a row every 0.1 mm. Arguments: nominal
+    rolling radius (m), normal force (N), contact modulus E* (Pa), Poisson's ratio (-), Hertz stiffness (N/m^1.5). The
+    stiffness is the same at every shift, otherwise the contact would generate energy. Source: Kalker 1990,
+    Three-Dimensional Elastic Bodies in Rolling Contact."""
     shifts = np.arange(-150, 121) * 1e-4
     patches = [normal.elastic_contact(*section(shift), radius, load, modulus) for shift in shifts]
     position, height, slope = np.array([(patch.position, patch.height, patch.slope) for patch in patches]).T
@@ -208,13 +194,10 @@ def pair_table(radius: float, load: float, modulus: float, poisson: float, stiff
 
 
 def equivalent_conicity(frame: pd.DataFrame, amplitude: float) -> float:
-    """Equivalent conicity (-): slope of cones on which a wheelset would oscillate with the same wavelength.
-
-    `amplitude` is that of the lateral oscillation (m). `frame` has the columns shift_m, from at most -amplitude to at
-    least amplitude, and rolling_radius_m. The motion follows y'' = -(r_ri - r_le)/(b r_0) along the track, without
-    roll; b and r_0 cancel out. The result is 0 if the wheelset does not return. Source: EN 15302, by integration of the
-    equation of motion.
-    """
+    """Equivalent conicity (-): slope of cones on which a wheelset would oscillate with the same wavelength at a lateral
+    amplitude (m); 0 if the wheelset does not return. `frame` has the columns rolling_radius_m and shift_m, which covers
+    the amplitude on both sides. The motion follows y'' = -(r_ri - r_le)/(b r_0) along the track, without roll; b and
+    r_0 cancel out. Source: EN 15302, by integration of the equation of motion."""
     y = np.linspace(0.0, amplitude, 4001)
     right, left = (np.interp(side * y, frame["shift_m"], frame["rolling_radius_m"]) for side in (1, -1))
     potential = CubicSpline(y, right - left).antiderivative()

@@ -22,10 +22,8 @@ LENGTH, RADIUS = between(1e-6, LONGEST, "m"), above(50.0, math.inf, "m", signed=
 @dataclass(frozen=True)
 class Segment:
     """Stretch of a track with the length `length` (m), such as a straight, a clothoid with cant ramp or an arc.
-
     Curvature `kappa` (1/m, positive to the right), cant angle `phi` (rad, positive right side down) and inclination
-    `eps` (rad, positive uphill) are pairs: value at the start, value at the end. In between they change linearly.
-    """
+    `eps` (rad, positive uphill) are pairs: value at the start, value at the end. In between they change linearly."""
 
     length: float
     kappa: tuple[float, float]
@@ -49,9 +47,8 @@ class Alignment:
 
 @data.table
 class CurveEntry:
-    """Entry of data/tracks.toml for a curve entry: a straight, a clothoid with cant ramp, an arc. The cant leaves the
-    lateral acceleration `unbalanced_acceleration_mps2` at the design speed. A curve to the left has a negative radius.
-    """
+    """Curve entry in data/tracks.toml: a straight, a clothoid with cant ramp, an arc. At the design speed, the cant
+    leaves the lateral acceleration `unbalanced_acceleration_mps2`. A curve to the left has a negative radius."""
 
     design_speed_kmh: Annotated[Number, above(0.0, 450.0, "km/h")]
     unbalanced_acceleration_mps2: Annotated[Number, between(-3.0, 3.0, "m/s2")]
@@ -114,9 +111,9 @@ class SegmentsEntry:
 def alignments(path: Path | str | None = None) -> Entries[Alignment]:
     """Read all tracks of a TOML file, default data/tracks.toml. InputError for a wrong entry."""
     file = data.location(path, paths.source("data/tracks.toml"))
-    found: dict = {}
-    for name, entry in data.read(file).items():
-        piecewise = isinstance(entry, dict) and "segments" in entry
+    tracks = {}
+    for name, content in data.read(file).items():
+        piecewise = isinstance(content, dict) and "segments" in content
         kind: Any = dict[str, SegmentsEntry] if piecewise else dict[str, CurveEntry]
-        found |= data.build(kind, {name: entry}, file.name)
-    return Entries({name: entry.alignment(name) for name, entry in found.items()}, "data/tracks.toml")
+        tracks[name] = data.build(kind, {name: content}, file.name)[name].alignment(name)
+    return Entries(tracks, "data/tracks.toml")

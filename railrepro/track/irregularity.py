@@ -1,9 +1,5 @@
-"""Track irregularities: spectra, random realisations, and the check of a frame of irregularities.
-
-Such a frame has the track coordinate p_m and four channels: alignment of the track centre (lateral_m, right positive),
-longitudinal level (vertical_m, down positive), cross level as an angle (crosslevel_rad, right rail down positive) and
-gauge (gauge_m, wider than nominal positive).
-"""
+"""Track irregularities: spectra, random realisations, and the check of frames of irregularities. The columns of a frame
+are p_m and those of `CHANNELS`: alignment of the track centre, longitudinal level, cross level, gauge."""
 
 from __future__ import annotations
 
@@ -21,9 +17,8 @@ from railrepro.data import InputError, Number, above, between, require
 CHANNELS = {"lateral": "lateral_m", "vertical": "vertical_m", "crosslevel": "crosslevel_rad", "gauge": "gauge_m"}
 """Channel -> column of a frame, in the order of their random generators."""
 LARGEST = 0.1  # largest magnitude in any channel (m, rad); beyond it the unit is wrong
-_RANGES = dict.fromkeys(CHANNELS.values(), (-LARGEST, LARGEST))
-_RANGES |= {"lateral_m": (-0.02, 0.02), "gauge_m": (-0.01, 0.035)}
-"""Permitted values of the channels (m, rad). Those of lateral_m and gauge_m keep the wheels between the rails."""
+_RANGES = dict.fromkeys(CHANNELS.values(), (-LARGEST, LARGEST))  # permitted values (m, rad)
+_RANGES |= {"lateral_m": (-0.02, 0.02), "gauge_m": (-0.01, 0.035)}  # so that wheels stay between the rails
 SHORTEST, LONGEST = 3.0, 100.0  # wavelengths of random irregularities (m)
 D1 = 3.0, 25.0  # wavelengths at which EN 13848-1 assesses level and alignment (m)
 _ERRI = {  # amplitudes (m rad)
@@ -102,7 +97,8 @@ def track_quality() -> dict[str, Quality]:
 
 
 def irregularities(p: np.ndarray, spectrum: str = "erri_low", seed: int = 1) -> pd.DataFrame:
-    """Make random irregularities for `railrepro.track.route.lay`.
+    """Make random irregularities for `railrepro.track.route.lay`: a frame with the columns p_m, lateral_m (right
+    positive), vertical_m (down positive), crosslevel_rad (right rail down positive) and gauge_m (wider positive).
 
     They are a sum of cosines with random phases and wavelengths of 3 to 100 m, faded in and out over 30 m at the ends.
     The sum repeats after 4096 m, on a longer track after the next power of two. So all tracks up to 4096 m have the
@@ -113,10 +109,6 @@ def irregularities(p: np.ndarray, spectrum: str = "erri_low", seed: int = 1) -> 
         p (ndarray, shape (n,)): Track coordinates (m), increasing by steps of up to 1.5 m.
         spectrum (str): As in `irregularity_spectrum`.
         seed (int): Seed of the random phases, 0 to 2^63.
-
-    Returns:
-        DataFrame: Columns p_m, lateral_m (right positive), vertical_m (down positive), crosslevel_rad (right rail down
-            positive), gauge_m (wider positive).
     """
     require("irregularities: seed", seed, SEED, whole=True)
     p = coordinates("irregularities", p, SHORTEST / 2)
@@ -148,13 +140,17 @@ def check(frame: pd.DataFrame) -> None:
     if not frame.columns.is_unique:
         raise InputError(f"irregularities have the column {frame.columns[frame.columns.duplicated()][0]!r} twice")
     p = coordinates("irregularities", frame["p_m"])
-    for column, (low, high) in _RANGES.items():
-        values = pd.to_numeric(frame[column], errors="coerce").astype(float)
-        inside = values.between(low, high).to_numpy()
-        if not inside.all():
-            row = int(np.argmin(inside))
-            found = f"{column} = {values.iloc[row]:g} at p = {p[row]:g} m"
-            raise InputError(f"irregularities: {found}, {low:g} to {high:g} is allowed (unit?)")
+    numbers = frame[[*_RANGES]].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
+    require_within("irregularities", p, dict(zip(_RANGES, numbers.T, strict=True)), _RANGES)
+
+
+def require_within(what: str, p: np.ndarray, columns: dict[str, np.ndarray], ranges: dict[str, tuple]) -> None:
+    """Raise InputError, which names the caller `what`, unless the columns in `ranges` (name -> least, largest value)
+    are within their ranges at all track coordinates p (m)."""
+    for name, (low, high) in ranges.items():
+        for row in np.flatnonzero(~((columns[name] >= low) & (columns[name] <= high)))[:1]:
+            found = f"{name} at p = {p[row]} m is {columns[name][row]}"
+            raise InputError(f"{what}: {found}, a number from {low:g} to {high:g} is needed (unit?)")
 
 
 def coordinates(what: str, p: Any, longest: float = math.inf) -> np.ndarray:

@@ -20,12 +20,8 @@ _HEIGHT = Annotated[Number, between(-LARGEST, LARGEST, "m")]
 
 @data.table
 class Dip:
-    """Vertical dip depth / 2 (1 - cos(2 pi (p - start) / length)) of the rail "le" (left), "ri" (right) or of both.
-
-    Attributes:
-        start, length (float): Track coordinate at which the dip begins, and its total length (m).
-        depth (float): Depth in the middle (m), positive downwards; negative is a hump.
-    """
+    """Vertical dip depth / 2 (1 - cos(2 pi (p - start) / length)) of the rail "le" (left), "ri" (right) or both, with
+    the length `length` from the track coordinate `start` (m). A negative `depth` (m) is a hump."""
 
     start: _START
     length: _LENGTH
@@ -42,12 +38,9 @@ class Dip:
 
 @data.table
 class AlignmentFault:
-    """Lateral excursion of both rails: amplitude / 2 (1 - cos(2 pi (p - start) / length)).
-
-    Attributes:
-        start, length (float): Track coordinate at which the fault begins, and its total length (m).
-        amplitude (float): Excursion in the middle from the ideal track, not from a chord (m), positive to the right.
-    """
+    """Lateral excursion amplitude / 2 (1 - cos(2 pi (p - start) / length)) of both rails, with the length `length` from
+    the track coordinate `start` (m). `amplitude` is measured from the ideal track, not from a chord (m, positive to the
+    right)."""
 
     start: _START
     length: _LENGTH
@@ -61,13 +54,8 @@ class AlignmentFault:
 
 @data.table
 class LateralOffset:
-    """Stretch on which both rails are shifted sideways by a constant offset, as at a switch.
-
-    Attributes:
-        start, length (float): Track coordinate at which the stretch begins, and its length with both transitions (m).
-        offset (float): Offset between the transitions (m), positive to the right.
-        transition (float): Length of each transition, a `smooth_step` (m).
-    """
+    """Constant lateral `offset` of both rails (m, positive to the right), as at a switch, with the length `length` from
+    the track coordinate `start` (m). This includes a smooth transition of the length `transition` (m) at each end."""
 
     start: _START
     length: _LENGTH
@@ -100,12 +88,9 @@ class Rough:
 
 def rough_track(p: np.ndarray, **arguments) -> pd.DataFrame:
     """Make random irregularities with local defects at track coordinates p (m), shape (n,): a frame like
-    `irregularities`.
-
-    `arguments` are fields of `Rough`. `defects` is a list of dicts, such as {"kind": "dip", "start": 300.0, "length":
-    8.0, "depth": 3e-3}. InputError unless p covers every defect, with at least four steps in each dip, fault and
-    transition.
-    """
+    `irregularities`. `arguments` are fields of `Rough`. `defects` is a list of dicts, such as {"kind": "dip", "start":
+    300.0, "length": 8.0, "depth": 3e-3}. InputError unless p covers every defect, with at least four steps in each dip,
+    fault and transition."""
     rough = data.build(Rough, arguments, "irregular")
     total = irregularities(p, rough.spectrum, rough.seed)
     p = total["p_m"].to_numpy()

@@ -21,7 +21,7 @@ from scipy.interpolate import CubicSpline
 
 from railrepro.data import InputError, above, require
 from railrepro.quantities import Scalar
-from railrepro.track.irregularity import CHANNELS, LARGEST, check, coordinates
+from railrepro.track.irregularity import CHANNELS, LARGEST, check, coordinates, require_within
 from railrepro.track.table import Track, track_in
 
 CELL = 0.5  # length of a cell (m)
@@ -33,14 +33,10 @@ def _orders(name: str) -> tuple[str, ...]:
     return tuple("d" * order + name for order in range(4))
 
 
-_SET_POINT = _orders("y_ref")
+_TRACK = ("p", "psi", "kappa", "dkappa", "phi", "dphi", "eps", "deps", "x", "y", "z")
 _IRREGULAR = tuple(column for channel in CHANNELS for column in _orders(channel))
-COLUMNS = (
-    *("p", "psi", "kappa", "dkappa", "phi", "dphi", "eps", "deps", "x", "y", "z"),
-    *_IRREGULAR,
-    *_SET_POINT,
-    *("poor_le", "poor_ri", "force"),
-)
+_SET_POINT = _orders("y_ref")
+COLUMNS = (*_TRACK, *_IRREGULAR, *_SET_POINT, "poor_le", "poor_ri", "force")
 INDEX = {name: i for i, name in enumerate(COLUMNS)}
 _RANGES = {"y_ref": (-LARGEST, LARGEST), "poor_le": (0.0, 1.0), "poor_ri": (0.0, 1.0), "force": (-5e5, 5e5)}
 """Permitted set points (m), shares of the poor adhesion set (-) and forces (N)."""
@@ -50,16 +46,14 @@ Profile = Callable[[np.ndarray], np.ndarray]
 @dataclass(frozen=True)
 class Route:
     """Track geometry, irregularities, set point, adhesion and force demand in cells of 0.5 m length; made by `lay`.
+    InputError for cells of another type or shape, a value that is not finite, steps of p that are not 0.5 m, and a
+    length that is not positive.
 
     Attributes:
         cells (ndarray of float64, shape (n, len(COLUMNS))): One row per cell: values of `COLUMNS` (SI) at the start of
             the cell; k letters d before a name mean the k-th derivative over p. Compiled code reads it; read-only.
         length (float): Track coordinate at which a run ends (m). `lay` sets the end of the track, `Scenario.route`
             `end_m`.
-
-    Raises:
-        InputError: `cells` has another type or shape, a value is not finite, or p does not increase by 0.5 m; or
-            `length` is not positive.
     """
 
     cells: np.ndarray
@@ -109,11 +103,9 @@ class Route:
 
 
 def reference_in(cell: dict, p) -> tuple:
-    """Lateral set point y* (m), dy*/dp (-) and d2y*/dp2 (1/m) at the track coordinate p (m) inside a cell.
-
-    `cell` is a row of `Route.cells` as a dict: name in `COLUMNS` -> value. `p` and the values are numbers, arrays or
-    CasADi symbols. Source: eq. (34).
-    """
+    """Lateral set point y* (m), dy*/dp (-) and d2y*/dp2 (1/m) at the track coordinate p (m) inside a cell. `cell` is a
+    row of `Route.cells` as a dict: name in `COLUMNS` -> value. `p` and the values are numbers, arrays or CasADi
+    symbols. Source: eq. (34)."""
     return _cubic([cell[name] for name in _SET_POINT], p - cell["p"])
 
 
@@ -155,31 +147,25 @@ def lay(
             p, shape (4, m). It is cubic between the coordinates and 0 outside.
     """
     require("track", track, Track)
-    columns = dict(_geometry(track))
-    p = columns["p"]
-    cells = np.zeros((p.size, len(COLUMNS)))
+    p = _geometry(track)["p"]
+    columns = dict.fromkeys(COLUMNS, np.zeros(p.size)) | _geometry(track)
     if irregularities is not None:
         columns |= _offsets(irregularities, p)
     if reference is not None:
         require("route: reference", reference, ca.Function)
         columns |= dict(zip(_SET_POINT, _derivatives(reference, track), strict=True))
     if line is not None:
-        columns |= {name: columns.get(name, 0.0) + v for name, v in zip(_SET_POINT, _sampled(line, p), strict=True)}
+        columns |= {name: columns[name] + values for name, values in zip(_SET_POINT, _sampled(line, p), strict=True)}
     if not (poor is None or (isinstance(poor, tuple | list) and len(poor) == 2)):
         raise InputError(f"route: poor is {reprlib.repr(poor)}, a pair of functions, left and right, is needed")
-    profiles = dict(zip(("poor_le", "poor_ri"), poor or (), strict=False)) | ({} if force is None else {"force": force})
-    for name, profile in profiles.items():
+    for name, profile in zip(("poor_le", "poor_ri", "force"), (*(poor or (None, None)), force), strict=True):
+        if profile is None:
+            continue
         if not callable(profile):
             raise InputError(f"route: {name} is {reprlib.repr(profile)}, a function of p (m) is needed")
-        columns[name] = _array(name, profile(p.copy()), p.shape, ())
-    for name, value in columns.items():
-        cells[:, INDEX[name]] = value
-    for name, (low, high) in _RANGES.items():
-        values = cells[:, INDEX[name]]
-        for row in np.flatnonzero(~((values >= low) & (values <= high)))[:1]:
-            needed = f"a number from {low:g} to {high:g} is needed (unit?)"
-            raise InputError(f"route: {name} at p = {p[row]} m is {values[row]}, {needed}")
-    return Route(cells, track.length)
+        columns[name] = np.broadcast_to(_array(name, profile(p.copy()), p.shape, ()), p.shape)
+    require_within("route", p, columns, _RANGES)
+    return Route(np.column_stack([*columns.values()]), track.length)
 
 
 def _array(name: str, found: Any, *shapes: tuple) -> np.ndarray:
@@ -195,7 +181,7 @@ def _array(name: str, found: Any, *shapes: tuple) -> np.ndarray:
 
 @lru_cache
 def _geometry(track: Track) -> dict[str, np.ndarray]:
-    """Columns of `COLUMNS` that describe a track, for its cells."""
+    """Columns `_TRACK` of the cells of a track."""
     p = np.arange(-BEFORE, track.length + AFTER, CELL)
     psi, kappa, phi, _, eps, _ = track.interpolate(np.append(p, p[-1] + CELL))
     start, slope = _curvature(kappa, np.diff(psi) / CELL)
@@ -205,12 +191,10 @@ def _geometry(track: Track) -> dict[str, np.ndarray]:
 
 
 def _curvature(ends: np.ndarray, mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Curvature at the start of n cells (1/m) and its slope (1/m2).
-
-    `ends` is the curvature at the ends of the cells (1/m), shape (n + 1,), and `mean` its mean in each cell, shape
-    (n,). A cell with a step or kink of curvature inside gets a smaller slope than that between its ends, such that its
-    mean curvature is `mean`. So the heading has no jump at the next cell.
-    """
+    """Curvature at the start of n cells (1/m) and its slope (1/m2). `ends` is the curvature at the ends of the cells
+    (1/m), shape (n + 1,), and `mean` its mean in each cell, shape (n,). A cell with a step or kink of curvature inside
+    gets a smaller slope than that between its ends, such that its mean curvature is `mean`. So the heading has no jump
+    at the next cell."""
     rise, low, high = np.diff(ends), np.minimum(ends[:-1], ends[1:]), np.maximum(ends[:-1], ends[1:])
     bent = np.abs(mean - (ends[:-1] + ends[1:]) / 2) > 1e-9
     room = np.clip(np.minimum(mean - low, high - mean), 0, None)
@@ -258,13 +242,10 @@ def _derivatives(reference: ca.Function, track: Track) -> np.ndarray:
 
 @dataclass(frozen=True)
 class SetPoint:
-    """Parameters of a lateral set point y* (lengths in m).
-
-    `kind` is 0 for none, 1 for a sine with the wavelength `period_start`, 2 for a sweep from `period_start` to
-    `period_end` with a wavenumber linear in p. y* is 0 outside of the track coordinates `start` to `end`. The amplitude
-    rises over the length `fade` after `start` and falls over this length before `end`. Source: paper, caption of Fig. 7
-    (sine of 150 m), Figs. 6 and 9 (sweep, parameters not printed).
-    """
+    """Parameters of a lateral set point y*. `kind` is 0 for none, 1 for a sine of wavelength `period_start`, 2 for a
+    sweep from `period_start` to `period_end` with a wavenumber linear in p. y* is 0 outside of the track coordinates
+    `start` to `end`. The amplitude rises over the length `fade` after `start` and falls over it before `end`. Source:
+    caption of Fig. 7 (sine of 150 m), Figs. 6 and 9 (sweep, parameters not printed)."""
 
     kind: Annotated[Scalar, "-"]
     amplitude: Annotated[Scalar, "m"]

@@ -25,11 +25,8 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 
 def build_table(alignment: Alignment, step: float = STEP, heading: float = 0.0) -> pd.DataFrame:
     """Tabulate an alignment with a row every `step` (m) and at each end of a segment. InputError if it is shorter than
-    `SHORTEST`.
-
-    The columns are p_m, psi_rad, dpsi_dp_1pm, phi_rad, dphi_dp_1pm, eps_rad, deps_dp_1pm, x_m, y_m, z_m. The track
-    begins at p = 0 in the origin with the yaw angle `heading` (rad). p_m is rounded to micrometres.
-    """
+    `SHORTEST`. The columns are p_m, psi_rad, dpsi_dp_1pm, phi_rad, dphi_dp_1pm, eps_rad, deps_dp_1pm, x_m, y_m, z_m.
+    The track begins at p = 0 in the origin with the yaw angle `heading` (rad). p_m is rounded to micrometres."""
     if not alignment.length >= SHORTEST:
         needed = f"at least {SHORTEST:g} m are needed (unit?)"
         raise InputError(f"track {alignment.name}: is {alignment.length:g} m long, {needed}")
@@ -56,10 +53,8 @@ def build_table(alignment: Alignment, step: float = STEP, heading: float = 0.0) 
 @dataclass(frozen=True, eq=False)
 class Track:
     """Track that interpolates in a table from `build_table`, exactly on straights, clothoids, arcs and cant ramps.
-
     Before the first row the track is straight. After the last row it keeps curvature, cant and inclination of that row.
-    `design_speed` is in m/s, None if unknown.
-    """
+    `design_speed` is in m/s, None if unknown."""
 
     name: str
     table: pd.DataFrame
@@ -86,15 +81,13 @@ class Track:
         return rows
 
     def _index(self, p: np.ndarray) -> np.ndarray:
-        """Indices of the last rows at or before p, of the first row where there is none."""
+        """Index of the last row at or before each p; 0 where there is none."""
         return np.clip(np.searchsorted(self._rows["p"], p, side="right") - 1, 0, len(self.table) - 1)
 
     def interpolate(self, p) -> np.ndarray:
-        """Track angles and their derivatives at track coordinates p (m, shape (n,)), shape (6, n).
-
-        The rows are psi (yaw, rad), dpsi_dp (rad/m), phi (roll, rad), dphi_dp (rad/m), eps (pitch, rad), deps_dp
-        (rad/m). Where dphi_dp or deps_dp jumps, the value is that behind the point. Source: eq. (3), without dp/dt.
-        """
+        """Track angles and their derivatives at track coordinates p (m, shape (n,)), shape (6, n). The rows are psi
+        (yaw, rad), dpsi_dp (rad/m), phi (roll, rad), dphi_dp (rad/m), eps (pitch, rad), deps_dp (rad/m). Where dphi_dp
+        or deps_dp jumps, the value is that behind the point. Source: eq. (3), without dp/dt."""
         p, first = np.atleast_1d(np.asarray(p, dtype=float)), self._rows["p"][0]
         index = self._index(p)
         row = {name: values[index] for name, values in self._rows.items()}
@@ -103,8 +96,8 @@ class Track:
         return np.array(track_in(row, p))
 
     def travel(self, start: np.ndarray, length: np.ndarray) -> np.ndarray:
-        """Displacement along n stretches of the track (m), shape (3, n), in fixed axes x, y (right), z (down). They go
-        from `start` over the signed `length` (m, each of shape (n,)) and must not cross a row of the table."""
+        """Displacement along n stretches of the track (m), shape (3, n), in fixed axes x, y (right), z (down). Each has
+        a `start` and a signed `length` (m, both of shape (n,)); none may cross a row of the table."""
         total = np.zeros((3, len(start)))
         for node, weight in zip(_NODES, _WEIGHTS, strict=True):
             psi, _, _, _, eps, _ = self.interpolate(start + length * (1 + node) / 2)
@@ -127,11 +120,8 @@ class Track:
 
 def track_in(cell: dict, p) -> tuple:
     """Track angles and their derivatives psi (yaw), dpsi_dp, phi (roll), dphi_dp, eps (pitch), deps_dp (rad, rad/m) at
-    a coordinate p (m) inside a cell.
-
-    `cell` maps p, psi, kappa, dkappa, phi, dphi, eps and deps to their values at the start of the cell (SI): numbers,
-    arrays or CasADi symbols. Source: eq. (3).
-    """
+    a coordinate p (m) inside a cell. `cell` maps p, psi, kappa, dkappa, phi, dphi, eps and deps to their values at the
+    start of the cell (SI): numbers, arrays or CasADi symbols. Source: eq. (3)."""
     d = p - cell["p"]
     psi = cell["psi"] + (cell["kappa"] + cell["dkappa"] * d / 2) * d
     roll = cell["phi"] + cell["dphi"] * d, cell["dphi"]
@@ -140,9 +130,7 @@ def track_in(cell: dict, p) -> tuple:
 
 def load_track(name: Path | str) -> Track:
     """Load a track by its name in data/tracks.toml, or from a file for `read_table` by a path that ends in .csv.
-
-    InputError for an unknown name. Warns if the cant lowers the outer rail of a curve by more than 15 mm.
-    """
+    InputError for an unknown name. Warns if the cant lowers the outer rail of a curve by more than 15 mm."""
     if str(name).endswith(".csv"):
         track = Track(Path(name).stem, read_table(name))
     else:
@@ -169,7 +157,7 @@ def write_table(table: pd.DataFrame, path: Path) -> None:
     table.to_csv(path, index=False, float_format="%.17g")
 
 
-_ALLOWED = {
+_ALLOWED = {  # columns of a track file: smallest and largest magnitude, unit
     "p_m": (0.0, 1e7, "m"),
     "dpsi_dp_1pm": (0.0, 0.02, "1/m"),
     "radius_m": (50.0, math.inf, "m"),
@@ -180,9 +168,7 @@ _ALLOWED = {
     **dict.fromkeys(("dphi_dp_1pm", "deps_dp_1pm"), (0.0, 1e3, "rad/m")),
     **dict.fromkeys(("x_m", "y_m", "z_m"), (0.0, 1e8, "m")),
 }
-"""Columns of a track file, each with its smallest and largest magnitude and its unit."""
-_INSTEAD = {"dpsi_dp_1pm": "radius_m", "phi_rad": "cant_mm"}
-"""Columns of a table, and the column that a file may have in place of each."""
+_INSTEAD = {"dpsi_dp_1pm": "radius_m", "phi_rad": "cant_mm"}  # what a file may have in place of a column of a table
 _CHAINAGE = "chainage_m"  # key of `Track.chainage` in the `attrs` of a table
 _SPIKE = 5.0  # longest peak of curvature, cant or inclination that is refused as an error in a file (m)
 
@@ -194,7 +180,8 @@ def read_table(path: Path | str) -> pd.DataFrame:
     two points 1 mm apart. Columns are separated by commas. Blank lines and lines that begin with # are skipped. Signs
     are those of the module. Columns:
 
-    - p_m: distance along the line, such as the chainage (m), increasing; the first point becomes the coordinate 0;
+    - p_m: distance along the line, such as the chainage (m), increasing. `Track.chainage` is its first value,
+      at which the track coordinate is 0;
     - dpsi_dp_1pm: curvature (1/m); or radius_m: radius (m), negative in a left-hand curve, inf on a straight;
     - phi_rad: cant angle (rad); or cant_mm: height of the left rail above the right one (mm) on a base of 1.5 m;
       default 0;

@@ -20,11 +20,9 @@ from railrepro.data import InputError
 
 @data.table
 class Entry:
-    """Entry of one parameter in a file such as data/vehicle.toml; `symbol` is its name in formulas.
-
-    `confidence` is VV read in the source and reproduced, V read there, D derived, R recalled from the literature, A
-    assumed. `range` is "fixed", or [low, high] in the unit of the value, from which robustness studies sample.
-    """
+    """Entry of one parameter in a file such as data/vehicle.toml; `symbol` is its name in formulas. `confidence` is VV
+    read in the source and reproduced, V read there, D derived, R recalled from the literature, A assumed. `range` is
+    "fixed", or [low, high] in the unit of the value, from which robustness studies sample."""
 
     symbol: str
     value: Any
@@ -45,18 +43,15 @@ class Parameter(data.Quantity):
         def stated(given, entry, info):
             return self._stated(entry(given)) if info.context else given
 
-        return core_schema.chain_schema(
-            [core_schema.with_info_wrap_validator_function(stated, handler.generate_schema(Entry)), value]
-        )
+        content = core_schema.with_info_wrap_validator_function(stated, handler.generate_schema(Entry))
+        return core_schema.chain_schema([content, value])
 
     def _stated(self, entry: Entry):
         if entry.unit != self.unit:
             raise ValueError(f"has the unit {entry.unit!r}, {self.unit!r} is needed")
         if entry.range != "fixed" and not self._around(entry.value, entry.range):
-            raise ValueError(
-                f'= {reprlib.repr(entry.value)} with range {reprlib.repr(entry.range)}, "fixed" or [low, high] around '
-                f"the value is needed, each {self.described()}"
-            )
+            found = f"= {reprlib.repr(entry.value)} with range {reprlib.repr(entry.range)}"
+            raise ValueError(f'{found}, "fixed" or [low, high] around the value is needed, each {self.described()}')
         return entry.value
 
     def _around(self, value, ends) -> bool:
@@ -95,21 +90,17 @@ class CarBody:
 
 @data.table
 class Gear:
-    """Running gear: a wheel carrier with two wheels.
-
-    Attributes:
-        mass, inertia_x, inertia_z: Mass (kg), roll and yaw inertia (kg m2), all including the wheels.
-        inertia_y: Pitch inertia (kg m2), including the mass of the wheels but not their `spin_inertia`.
-        contact_base: Lateral distance b of the two contacts (m).
-        axle_damping: Torque between the wheels over the difference of their speeds (N m s/rad); 0: independent wheels.
-    """
+    """Running gear: a wheel carrier with two wheels. Mass (kg), roll and yaw inertia (kg m2) include the wheels; pitch
+    inertia includes their mass, but not their `spin_inertia`. `contact_base` is the lateral distance b of the contacts
+    (m), `axle_damping` the torque between the wheels over the difference of their speeds (N m s/rad), 0 for independent
+    wheels."""
 
     mass: Mass
     inertia_x: Inertia
     inertia_y: Inertia
     inertia_z: Inertia
     contact_base: Annotated[float, Parameter(0.5, 3.0, "m")]
-    axle_damping: Annotated[float, Parameter(0.0, 1e8, "N m s/rad", closed=True)]
+    axle_damping: AngularDamping
 
 
 @data.table
@@ -126,12 +117,10 @@ class Wheel:
 
 @data.table
 class Suspension:
-    """Suspension between the car body and one running gear: stiffness (N/m, N m/rad), damping (N s/m, N m s/rad).
-
-    On each side, a spring with a damper is `half_spacing` (m) off centre and `height` (m) above the rails; it has the
+    """Suspension between the car body and one running gear: stiffness (N/m, N m/rad), damping (N s/m, N m s/rad). On
+    each side, a spring with a damper is `half_spacing` (m) off centre and `height` (m) above the rails; it has the
     stiffness k_x and the damping c_x along x, likewise y and z. A traction link acts lengthwise, a torsion bar against
-    roll, rods against pitch. Stops act in yaw beyond yaw_stop_angle (rad) and sideways beyond bump_clearance (m).
-    """
+    roll, rods against pitch. Stops act in yaw beyond yaw_stop_angle (rad) and sideways beyond bump_clearance (m)."""
 
     half_spacing: Annotated[float, Parameter(0.1, 2.0, "m")]
     height: Annotated[float, Parameter(0.0, 3.0, "m")]
@@ -309,11 +298,8 @@ def load_vehicle(path: Path | str | None = None, **overrides) -> Vehicle:
 
 def loaded(kind: type, file: Path, overrides: dict) -> tuple[Any, dict[str, dict]]:
     """Read a file of entries. Returns an instance of the `data.table` class `kind`, and the keys of `Entry` with their
-    values of each parameter, by its dotted key such as "wheel.radius".
-
-    `overrides` replace values of the file (SI) by dotted key; the range of such a parameter becomes "fixed". InputError
-    for a wrong file, key or value.
-    """
+    values of each parameter, by its dotted key such as "wheel.radius". `overrides` replace values of the file (SI) by
+    dotted key; the range of such a parameter becomes "fixed". InputError for a wrong file, key or value."""
     content = data.read(file)
     entries = dict(_entries(content))
     for key, value in overrides.items():
