@@ -16,12 +16,16 @@ from hypothesis import strategies as st
 
 from railrepro import paths
 from railrepro.control import registry
+from railrepro.control.adhesion import AdhesionSettings
+from railrepro.control.ndi import NDI
+from railrepro.control.problem import MPCSettings
 from railrepro.control.registry import SETTINGS
 from railrepro.data import InputError
 from railrepro.data import read as read_file
 from railrepro.estimation.sensors import load_loop
 from railrepro.evidence.chain import chain
 from railrepro.evidence.claims import statements
+from railrepro.own.lqg import LqgPreview
 from railrepro.simulation.scenarios import load_scenarios
 from railrepro.track.alignment import alignments
 from railrepro.track.irregularity import track_quality
@@ -82,11 +86,13 @@ def instances(value):
     return found
 
 
-MADE = instances((load_vehicle(), load_loop(), *load_scenarios().values(), chain.load(), *track_quality().values()))
+CONTROL = (MPCSettings(), AdhesionSettings(), LqgPreview(), NDI())
+FILES = (load_vehicle(), load_loop(), *load_scenarios().values(), chain.load(), *track_quality().values())
+MADE = instances((*CONTROL, *FILES))
 
 
 @pytest.mark.parametrize("made", MADE.values(), ids=lambda made: type(made).__name__)
-def test_a_constructor_refuses_the_numbers_that_a_file_may_not_have(made):
+def test_a_constructor_refuses_impossible_numbers(made):
     assert replace(made) == made
     for name in [one.name for one in fields(made) if type(getattr(made, one.name)) in (int, float)]:
         for value in WRONG:

@@ -31,7 +31,6 @@ WAY = np.arange(0.0, 100.0, 0.5)
 T5, PLACES = load_track("T5"), np.array([0.0, 60.0, 99.0])
 LINE = np.outer([3e-3, 0.0, 0.0, 0.0], np.ones(3))
 FAULT = {"kind": "alignment_fault", "start": 40.0, "length": 20.0, "amplitude": 4e-3}
-SWITCH = {"kind": "lateral_offset", "start": 50.0, "length": 10.0, "offset": 5e-3, "transition": 8.0}
 CONES = load_vehicle(**{"contact.profile": "cone"})  # its contact table is made at once
 STRAIGHT = lay(T5)
 CELLS, FORCE = STRAIGHT.cells, np.eye(len(COLUMNS))[COLUMNS.index("force")]

@@ -30,23 +30,17 @@ arc_m = 100
 """
 
 
-@pytest.fixture
-def made(tmp_path):
-    (tmp_path / "tracks.toml").write_text(TRACKS)
-    return {name: Track(name, build_table(one)) for name, one in alignments(tmp_path / "tracks.toml").items()}
-
-
-def test_a_track_has_the_stated_cant_and_its_rates_are_the_slopes_of_its_angles(made):
+def test_a_track_has_the_stated_cant_and_its_rates_are_the_slopes_of_its_angles(tmp_path):
     """The rails are 1.5 m apart along the sleeper; in a left-hand curve the left one is lower, with a negative roll."""
-    hill, slow = made.values()
+    (tmp_path / "tracks.toml").write_text(TRACKS)
+    hill, slow = (Track(name, build_table(one)) for name, one in alignments(tmp_path / "tracks.toml").items())
     _, _, roll, *_ = hill.interpolate(200.0)[:, 0]
     assert 1.5 * np.sin(roll) == pytest.approx(-0.10, rel=1e-9)
     p, h = np.linspace(1.0, 229.0, 301), 1e-5
     slopes = (hill.interpolate(p + h) - hill.interpolate(p - h)) / (2 * h)
     assert np.allclose(hill.interpolate(p)[1::2], slopes[::2], rtol=0, atol=1e-8)
     _, curvature, roll, *_ = slow.interpolate(160.0)[:, 0]
-    unbalanced = 10.0**2 * curvature - 9.81 * np.sin(roll)
-    assert unbalanced == pytest.approx(-0.5), "to the outside, which is the right"
+    assert 10.0**2 * curvature - 9.81 * np.sin(roll) == pytest.approx(-0.5)  # unbalanced acceleration in a left curve
 
 
 def test_a_track_of_points_is_that_of_its_segments(tmp_path):
