@@ -50,11 +50,9 @@ def test_rails_have_the_standard_deviation_of_their_quality_class(spectrum):
     assert 1e6 * alignment == pytest.approx(quality.alignment_mm**2, rel=1e-4)
 
 
-def test_a_quality_named_as_a_built_in_spectrum_is_refused(tmp_path, monkeypatch):
-    (tmp_path / "data").mkdir()
-    entry = 'erri_low = { level_mm = 2.0, alignment_mm = 1.0, confidence = "A" }'
-    (tmp_path / "data/irregularities.toml").write_text(entry)
-    monkeypatch.setenv("RAILREPRO_OUTPUT", str(tmp_path))
+def test_a_quality_named_as_a_built_in_spectrum_is_refused(monkeypatch):
+    quality = {"level_mm": 2.0, "alignment_mm": 1.0, "confidence": "A"}
+    monkeypatch.setattr("railrepro.data.read", lambda file: {"erri_low": quality})
     with pytest.raises(InputError, match=r"irregularities\.toml: erri_low is a built-in spectrum, another name"):
         irregularities(np.arange(9.0), "erri_low")
 
