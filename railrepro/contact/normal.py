@@ -14,7 +14,7 @@ _FLAT = np.geomspace(0.1, 1.0, 400)
 _CELLS = 24, 72  # of the fine grid along and across the rail; the coarse grid has half as many in each direction
 _REACH = 1.3e-4  # gap of the undeformed profiles up to which they may touch (m), more than any wheel here approaches
 _TOLERANCE = 1e-4  # change of the pressure in an iteration, relative to the load, below which it has converged (-)
-_TURNS, _TURNED = 4, 0.05  # largest number of iterations over the contact angle, and change that ends them (rad)
+_ITERATIONS, _CHANGE = 4, 0.05  # largest number of iterations over the contact angle, and change that ends them (rad)
 
 
 def hertz(curvature_x: float, curvature_y: float, load: float, modulus: float) -> tuple[float, float]:
@@ -70,15 +70,15 @@ def elastic_contact(position, height, slope, rail_depth, radius: float, load: fl
     rolling, angle = radius + height[first], np.arctan(slope[first])
     near = position[gap * np.cos(angle) < _REACH]
     reach_x, reach_y = np.sqrt(2 * rolling * _REACH / np.cos(angle)), (near[0], near[-1])
-    for turn in range(_TURNS):
-        cos, cells = np.cos(angle), np.array(_CELLS) // (1 if turn else 2)
+    for iteration in range(_ITERATIONS):
+        cos, cells = np.cos(angle), np.array(_CELLS) // (1 if iteration else 2)
         x, y = np.linspace(-reach_x, reach_x, cells[0]), np.linspace(*reach_y, cells[1])
         cell = x[1] - x[0], (y[1] - y[0]) / cos
         distance = cos * (x[:, None] ** 2 / (2 * rolling) + np.interp(y, position, gap))
         pressure = half_space_pressure(distance, load, cell, modulus)
         across = pressure.sum(axis=0) / pressure.sum()
         mean = across @ np.interp(y, position, slope)
-        if turn and abs(np.arctan(mean) - angle) < _TURNED:
+        if iteration and abs(np.arctan(mean) - angle) < _CHANGE:
             break
         touched, angle = y[across > 0], np.arctan(mean)
         reach_x = np.abs(x[pressure.any(axis=1)]).max() + cell[0]

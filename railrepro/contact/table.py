@@ -100,11 +100,11 @@ def in_cell(cell: dict, offset) -> dict:
     """
     first, square, cube = (cell[f"radius_{name}"] for name in ("slope", "square", "cube"))
     m = elementary(offset)
-    held = m.fmin(m.fmax(offset, -_BEYOND), cell["width"] + _BEYOND)
-    slope = first + held * (2 * square + held * 3 * cube)
-    beyond = slope * (offset - held)
-    at = {name: cell[name] + cell[f"d{name}"] * held for name in _LINEAR}
-    at["effective_radius"] = cell["effective_radius"] + held * (first + held * (square + held * cube)) + beyond
+    inside = m.fmin(m.fmax(offset, -_BEYOND), cell["width"] + _BEYOND)
+    slope = first + inside * (2 * square + inside * 3 * cube)
+    beyond = slope * (offset - inside)
+    at = {name: cell[name] + cell[f"d{name}"] * inside for name in _LINEAR}
+    at["effective_radius"] = cell["effective_radius"] + inside * (first + inside * (square + inside * cube)) + beyond
     return at | {"slope": slope, "rolling_radius": at["rolling_radius"] + beyond}
 
 

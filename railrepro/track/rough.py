@@ -74,6 +74,7 @@ class LateralOffset:
 
 
 def _versine(p: np.ndarray, start: float, length: float, height: float) -> np.ndarray:
+    """Wave height / 2 (1 - cos(2 pi (p - start) / length)) from `start` over `length`, 0 outside."""
     return height / 2 * (1 - np.cos(2 * np.pi * np.clip((p - start) / length, 0, 1)))
 
 

@@ -89,6 +89,7 @@ class Route:
         return self.cells[index.astype(int)]
 
     def _named(self, p: np.ndarray) -> dict[str, np.ndarray]:
+        """Rows at p as a dict: name in `COLUMNS` -> values."""
         return dict(zip(COLUMNS, self.rows_at(np.atleast_1d(p)).T, strict=True))
 
     def track_at(self, p: np.ndarray) -> np.ndarray:
@@ -197,8 +198,8 @@ def _curvature(ends: np.ndarray, mean: np.ndarray) -> tuple[np.ndarray, np.ndarr
     at the next cell."""
     rise, low, high = np.diff(ends), np.minimum(ends[:-1], ends[1:]), np.maximum(ends[:-1], ends[1:])
     bent = np.abs(mean - (ends[:-1] + ends[1:]) / 2) > 1e-9
-    room = np.clip(np.minimum(mean - low, high - mean), 0, None)
-    rise = np.where(bent, np.sign(rise) * np.minimum(np.abs(rise), 2 * room), rise)
+    margin = np.clip(np.minimum(mean - low, high - mean), 0, None)
+    rise = np.where(bent, np.sign(rise) * np.minimum(np.abs(rise), 2 * margin), rise)
     return np.where(bent, mean - rise / 2, ends[:-1]), rise / CELL
 
 

@@ -146,6 +146,7 @@ def load_track(name: Path | str) -> Track:
 
 @lru_cache
 def _built(name: str, _changed: int) -> Track:
+    """Track of data/tracks.toml. The time of the file's last change is an argument so that the cache notices it."""
     known = alignments()
     if name not in known:
         raise InputError(f"track {name!r} is not in tracks.toml ({sorted(known)}) and is not a CSV file")

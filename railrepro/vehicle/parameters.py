@@ -34,8 +34,8 @@ class Entry:
 
 @dataclass(frozen=True)
 class Parameter(data.Quantity):
-    """Unit and permitted range of a field. A file has an `Entry` with the same unit for it, a constructor only the
-    value."""
+    """Annotation of a field with its unit and permitted range. A file gives the field as an `Entry` with this unit, a
+    constructor as a value."""
 
     def __get_pydantic_core_schema__(self, source, handler):
         value = super().__get_pydantic_core_schema__(source, handler) if source is float else handler(source)
@@ -47,6 +47,7 @@ class Parameter(data.Quantity):
         return core_schema.chain_schema([content, value])
 
     def _stated(self, entry: Entry):
+        """Check the unit and range of an entry and return its value."""
         if entry.unit != self.unit:
             raise ValueError(f"has the unit {entry.unit!r}, {self.unit!r} is needed")
         if entry.range != "fixed" and not self._around(entry.value, entry.range):
@@ -204,7 +205,7 @@ class AdhesionSet:
 
     Attributes:
         k_a, k_s: Reduction factors in the areas of adhesion and of slip (-); a k_s above k_a counts as k_a. The creep
-            stiffness at zero creepage is (k_a + k_s)/2 of Kalker's.
+            stiffness at zero creepage is (k_a + k_s)/2 times Kalker's.
         mu0, a_ratio, b_decay: The friction coefficient is mu0 ((1 - a_ratio) exp(-b_decay w) + a_ratio) at a slip speed
             w (m/s).
     """
@@ -291,15 +292,15 @@ def load_vehicle(path: Path | str | None = None, **overrides) -> Vehicle:
     """
     vehicle = loaded(Vehicle, data.location(path, paths.source("data/vehicle.toml")), overrides)[0]
     if "wheel.cone_angle" in overrides and vehicle.contact.profile != "cone":
-        needed = "the wheels of the car have this angle with contact.profile = cone only"
-        warnings.warn(f"wheel.cone_angle changes the control model only: {needed}", stacklevel=2)
+        reason = f"the wheels of the car have the profile {vehicle.contact.profile}"
+        warnings.warn(f"wheel.cone_angle changes the control model only: {reason}", stacklevel=2)
     return vehicle
 
 
 def loaded(kind: type, file: Path, overrides: dict) -> tuple[Any, dict[str, dict]]:
-    """Read a file of entries. Returns an instance of the `data.table` class `kind`, and the keys of `Entry` with their
-    values of each parameter, by its dotted key such as "wheel.radius". `overrides` replace values of the file (SI) by
-    dotted key; the range of such a parameter becomes "fixed". InputError for a wrong file, key or value."""
+    """Read a file of entries. Returns an instance of the `data.table` class `kind`, and a dict from dotted keys such as
+    "wheel.radius" to entries as dicts. `overrides` replace values of the file (SI) by dotted key; the range of such a
+    parameter becomes "fixed". InputError for a wrong file, key or value."""
     content = data.read(file)
     entries = dict(_entries(content))
     for key, value in overrides.items():
@@ -310,7 +311,7 @@ def loaded(kind: type, file: Path, overrides: dict) -> tuple[Any, dict[str, dict
 
 
 def _entries(table: Any, key: str = "") -> Iterator[tuple[str, dict]]:
-    """Dotted keys and entries in a table and its subtables. `data.build` judges what is not a table."""
+    """Dotted keys and entries in a table and its subtables. `data.build` refuses what is neither."""
     if isinstance(table, dict) and "value" in table:
         yield key, table
     elif isinstance(table, dict):

@@ -14,12 +14,8 @@ from railrepro.track.alignment import alignments
 from railrepro.track.table import Track, build_table, load_track
 
 TRACKS = """
-[hill]
-segments = [
-  { length_m = 50 },
-  { length_m = 80, radius_m = -600, superelevation_m = -0.10, inclination_rad = 0.02 },
-  { length_m = 100 },
-]
+hill.segments = [{ length_m = 50 },
+  { length_m = 80, radius_m = -600, superelevation_m = -0.10, inclination_rad = 0.02 }, { length_m = 100 }]
 [slow]
 design_speed_kmh = 36
 unbalanced_acceleration_mps2 = 0.5
