@@ -4,8 +4,6 @@
 test must then find not reproduced.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 
