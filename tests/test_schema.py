@@ -1,4 +1,4 @@
-"""Reading files: whatever is broken in one, the answer is a valid result or one sentence that names file and key."""
+"""Reading files: a broken file gives a valid result or a message of one line that names file and key."""
 
 import json
 import math
@@ -16,12 +16,16 @@ from hypothesis import strategies as st
 
 from railrepro import paths
 from railrepro.control import registry
+from railrepro.control.adhesion import AdhesionSettings
+from railrepro.control.ndi import NDI
+from railrepro.control.problem import MPCSettings
 from railrepro.control.registry import SETTINGS
 from railrepro.data import InputError
 from railrepro.data import read as read_file
 from railrepro.estimation.sensors import load_loop
 from railrepro.evidence.chain import chain
 from railrepro.evidence.claims import statements
+from railrepro.own.lqg import LqgPreview
 from railrepro.simulation.scenarios import load_scenarios
 from railrepro.track.alignment import alignments
 from railrepro.track.irregularity import track_quality
@@ -41,30 +45,17 @@ READERS = {
     "data/tracks/T3.csv": read_table,
 }
 RANGED = {name: READERS[name] for name in [*READERS][:5]} | {"data/irregularities.toml": lambda file: track_quality()}
-WRONG = (math.nan, math.inf, -math.inf, 1e300, -1e300, 10**400, True, "1", [], {}, 1j)
-"""What no number of a file may be."""
+WRONG = (math.nan, math.inf, -math.inf, 1e300, -1e300, 10**400, True, "1", [], {}, 1j)  # for any number of a file
 VALUES = (*WRONG[:-1], "", 0, -1, 1, 2.5, 1e-308, [[0, 1], [0, 1]], {"kind": "sine"}, [math.nan, 1])
-
-
-USED = {"radius_m", "irregular", "controller"}
-"""Keys whose numbers are judged where they are used."""
+USED = {"radius_m", "irregular", "controller"}  # keys whose numbers are checked where they are used
 
 
 def places(content, *keys):
-    """Every table or list in a file with every key or index in it, and the keys that lead there."""
+    """Every table or list in a file with each of its keys or indices, and the path of keys to it."""
     names = content.keys() if isinstance(content, dict) else range(len(content)) if isinstance(content, list) else ()
     for name in names:
         yield content, name, (*keys, name)
         yield from places(content[name], *keys, name)
-
-
-def read(name, file):
-    """What a reader gives, or None when it refuses with one sentence that names the file."""
-    try:
-        return READERS[name](file)
-    except InputError as error:
-        assert file.name in str(error) and len(str(error).splitlines()) == 1, str(error)
-        return None
 
 
 @pytest.mark.parametrize("name", RANGED)
@@ -72,7 +63,7 @@ def test_every_number_of_a_file_has_a_range_and_is_refused_beyond_it_with_its_ke
     content = read_file(paths.ROOT / name)
     monkeypatch.setattr("railrepro.data.read", lambda file: content if name.endswith(file.name) else read_file(file))
     for holder, last, _ in [*places(content)]:
-        if last == "range":  # of samples, which is checked against the value before the value itself
+        if last == "range":  # it is checked against the value before the value itself
             holder[last] = "fixed"
     for holder, last, keys in [*places(content)]:
         number = holder[last]
@@ -87,7 +78,7 @@ def test_every_number_of_a_file_has_a_range_and_is_refused_beyond_it_with_its_ke
 
 
 def instances(value):
-    """Dataclass instances among some values and in each other, one of each class."""
+    """Dataclass instances in a value and in each other, one for each class."""
     found = {type(value): value} if is_dataclass(value) else {}
     parts = vars(value) if found else value
     for part in parts.values() if isinstance(parts, dict) else parts if isinstance(parts, tuple) else ():
@@ -95,11 +86,13 @@ def instances(value):
     return found
 
 
-MADE = instances((load_vehicle(), load_loop(), *load_scenarios().values(), chain.load(), *track_quality().values()))
+CONTROL = (MPCSettings(), AdhesionSettings(), LqgPreview(), NDI())
+FILES = (load_vehicle(), load_loop(), *load_scenarios().values(), chain.load(), *track_quality().values())
+MADE = instances((*CONTROL, *FILES))
 
 
 @pytest.mark.parametrize("made", MADE.values(), ids=lambda made: type(made).__name__)
-def test_a_constructor_refuses_the_numbers_that_a_file_may_not_have(made):
+def test_a_constructor_refuses_impossible_numbers(made):
     assert replace(made) == made
     for name in [one.name for one in fields(made) if type(getattr(made, one.name)) in (int, float)]:
         for value in WRONG:
@@ -109,7 +102,7 @@ def test_a_constructor_refuses_the_numbers_that_a_file_may_not_have(made):
 
 
 @pytest.mark.parametrize("name", READERS)
-@pytest.mark.timeout(60)  # a reader that opens the pipe waits for ever
+@pytest.mark.timeout(60)  # a reader that opens the pipe never returns
 def test_only_regular_files_up_to_a_size_are_read(name, tmp_path, monkeypatch):
     file = tmp_path / Path(name).name
     with pytest.raises(InputError, match=rf"there is no file {file}|there is no tuned set"):
@@ -125,7 +118,7 @@ def test_only_regular_files_up_to_a_size_are_read(name, tmp_path, monkeypatch):
 
 
 def broken_content(draw, content):
-    """Content with a key deleted or renamed, or a value of another type or size."""
+    """Delete or rename a key, or replace a value."""
     holder, key, _ = draw(st.sampled_from([*places(content)]))
     change = draw(st.sampled_from(["delete", "rename", "value", "value", "value"]))
     if change == "delete":
@@ -138,7 +131,7 @@ def broken_content(draw, content):
 
 
 def broken_bytes(draw, data):
-    """A file cut off, in another encoding, or with foreign bytes."""
+    """Cut off the bytes of a file, change their encoding, or insert some."""
     place = draw(st.integers(0, len(data)))
     recoded = (data.decode() + "# ä\n").encode(draw(st.sampled_from(["utf-16", "latin-1", "utf-8-sig"])), "replace")
     return draw(st.sampled_from([data[:place], recoded, data[:place] + b"\xff\0" + data[place:]]))
@@ -156,9 +149,13 @@ def test_broken_files_give_a_valid_result_or_one_sentence(data, tmp_path):
         columns = {column: pd.Series(cells) for column, cells in broken_content(data.draw, columns).items()}
         file.write_text(pd.DataFrame(columns).to_csv(index=False))
     else:
-        file = file.with_suffix(".json")  # read alike
+        file = file.with_suffix(".json")  # a reader accepts it, too
         file.write_text(json.dumps(broken_content(data.draw, read_file(original))))
-    found = read(name, file)
+    try:
+        found = READERS[name](file)
+    except InputError as error:
+        assert file.name in str(error) and len(str(error).splitlines()) == 1, str(error)
+        return
     assert not re.search(r"\bnan\b", repr(found))
     if isinstance(found, pd.DataFrame):
         assert np.isfinite(found).all().all()

@@ -1,9 +1,7 @@
-"""Creep forces between wheel and rail: Kalker's coefficients, and Polach's law.
-
-Serves eq. (4) and Fig. 2 of the paper, which name no law. Polach brings the falling branch that the adhesion
-task needs. Mean and largest error of the force over friction against half spaces in steady rolling, a/b .7 to 2:
-without spin .02/.03, with the spin of a cone .02/.04, of S1002 on dry rail .04/.09, of 2.5 times that .07/.23.
-"""
+"""Creep forces between wheel and rail: Kalker's coefficients, and Polach's law, which has the falling branch that
+adhesion control needs. Its mean / largest errors relative to the friction force, against half spaces in steady rolling
+with a/b from 0.7 to 2: 0.02 / 0.03 without spin, 0.02 / 0.04 with the spin of a cone, 0.04 / 0.09 with that of S1002 on
+dry rail, 0.07 / 0.23 with 2.5 times that. Serves eq. (4) and Fig. 2 of the paper, which name no law."""
 
 from __future__ import annotations
 
@@ -14,8 +12,8 @@ import casadi as ca
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-# Kalker's table: semi-axis ratio a/b, then C11, C22, C23, C33, each for Poisson's ratio 0, 0.25 and 0.5.
 _POISSON = (0.0, 0.25, 0.5)
+# Kalker's table: semi-axis ratio a/b, then c11, c22, c23, c33, each for the three Poisson's ratios.
 _TABLE = np.array(
     [
         (0.1, 2.51, 3.31, 4.85, 2.51, 2.52, 2.53, 0.334, 0.473, 0.731, 6.42, 8.28, 11.7),
@@ -40,92 +38,82 @@ _TABLE = np.array(
     ]
 )
 _SPINNING = 1.4
-"""Friction that spin alone uses, squared, over its linear moment per turn, c33 a b spin^2 (-): fitted to half spaces in
-steady rolling, a/b .5 to 1. A wide patch uses more than its resultant, for tractions of spin cancel in it."""
-_PLAIN = 0.4, 2.0
-"""Semi-axis ratios of the straight lines in `strip_coefficients`: those of S1002 on 60E1."""
+"""Factor of c33 a b spin^2 in the friction used by spin (-), fitted to half spaces in steady rolling, a/b from 0.5 to
+1. The resultant alone would be too small in a wide patch, in which tractions of spin cancel."""
+_PLAIN = 0.4, 2.0  # range of a/b in which `strip_coefficients` fits straight lines: that of S1002 on 60E1
 
 
-def kalker_coefficients(ratio, poisson: float = 0.28) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Kalker's creep coefficients c11, c22, c23, c33 (-) of an elliptic contact, each of the shape of `ratio`.
-
-    Source: Kalker 1990, Table E3; parabola over Poisson's ratio, spline over the logarithm of a/b.
-
-    Args:
-        ratio (array_like): Semi-axis ratio a/b, with a along and b across the rail; clipped to 0.1 to 10.
-        poisson (float): Poisson's ratio, 0 to 0.5; default that of steel.
-    """
+def kalker_coefficients(ratio, poisson: float = 0.28) -> tuple[np.ndarray, ...]:
+    """Kalker's creep coefficients c11, c22, c23, c33 (-) of an elliptic contact, each in the shape of `ratio`. `ratio`
+    is the semi-axis ratio a/b, with a along and b across the rail, clipped to 0.1 to 10. `poisson` is Poisson's ratio,
+    0 to 0.5. Source: Kalker 1990, Table E3; parabola over Poisson's ratio, spline over the logarithm of a/b."""
     weights = [np.prod([(poisson - q) / (p - q) for q in _POISSON if q != p]) for p in _POISSON]
     table = np.stack(np.split(_TABLE[:, 1:], 4, axis=1)) @ weights
     spline = CubicSpline(np.log(_TABLE[:, 0]), np.log(table.T))
-    c11, c22, c23, c33 = np.moveaxis(np.exp(spline(np.log(np.clip(ratio, 0.1, 10.0)))), -1, 0)
-    return c11, c22, c23, c33
+    return tuple(np.moveaxis(np.exp(spline(np.log(np.clip(ratio, 0.1, 10.0)))), -1, 0))
 
 
 @lru_cache
-def _strips_and_ends() -> tuple[list[np.ndarray], np.ndarray]:
-    """Shares of ends and strips in c11, c22, c23 of ellipses, lines over a/b, and the line of c33 over b/a."""
+def _strips_and_ends(poisson: float) -> tuple[list[np.ndarray], np.ndarray]:
+    """Straight lines (slope, value at 0) of c11, c22 and c23 / sqrt(a/b) of ellipses over a/b, and of c33 over b/a."""
     ratios = np.linspace(*_PLAIN, 50)
-    c11, c22, c23, c33 = kalker_coefficients(ratios)
+    c11, c22, c23, c33 = kalker_coefficients(ratios, poisson)
     lines = [np.polyfit(ratios, row, 1) for row in (c11, c22, c23 / np.sqrt(ratios))]
     spin, *_ = np.linalg.lstsq(np.stack([1 / ratios, 0 * ratios + 1], axis=1), c33, rcond=None)
     return lines, spin
 
 
-def strip_coefficients(half_length: np.ndarray, position: np.ndarray):
-    """Equivalent ellipse and creep coefficients of a contact patch of any shape, cut into strips along the rail.
+def strip_coefficients(half_length: np.ndarray, position: np.ndarray, poisson: float = 0.28):
+    """Equivalent ellipse and creep coefficients of a contact patch of any shape, divided into strips along the rail.
 
-    For ellipses, c11 a b and c22 a b of Kalker's table are nearly A a b + B a^2, and c23 (a b)^1.5 is nearly A a^2 b +
-    B a^3. Here the A term is a sum over the strips. The B term stands for the lateral ends of the patch. They are
-    measured by half the total variation of the squared half-length across the strips (cubed for c23), so each lobe has
-    ends. For c33 a strip counts by its squared distance from the middle. An elliptic patch gets the coefficients of
-    Kalker's table.
+    For ellipses, c11 a b and c22 a b of Kalker's table are approximately A a b + B a^2, and c23 (a b)^1.5 is
+    approximately A a^2 b + B a^3. Here the A term is a sum over the strips. The B term represents the lateral ends of
+    the patch by half the total variation of the squared half-length across the strips (cubed for c23), so that each
+    lobe has ends. For c33 strips are weighted by their squared distance from the middle. An elliptic patch gets the
+    coefficients of Kalker's table.
 
     Args:
         half_length (ndarray, shape (n,)): Half the length of each strip (m), 0 without contact.
         position (ndarray, shape (n,)): Lateral position of each strip (m), equally spaced, 0 at the centre of pressure.
+        poisson (float): Poisson's ratio (-).
 
     Returns:
-        a (float): Half the length of the longest strip (m).
-        b (float): Lateral semi-axis of the ellipse that has the area of the patch (m).
-        coefficients (tuple of float): c11, c22, c23, c33 of the patch, to be used with this ellipse (-).
+        a, b (float): Half the length of the longest strip; lateral semi-axis of the ellipse of the same area (m).
+        coefficients (tuple of float): c11, c22, c23, c33 (-), to be used with this ellipse.
     """
     width = position[1] - position[0]
     a = half_length.max()
     b = 2 * half_length.sum() * width / (np.pi * a)
-    forces, (steep, flat) = _strips_and_ends()
-    found = []
+    forces, (steep, flat) = _strips_and_ends(poisson)
+    shares = []
     for (ends, strips), power, mean in zip(forces, (1, 1, 2), (2 / np.pi, 2 / np.pi, 3 / 4), strict=True):
         ups_and_downs = np.abs(np.diff(half_length ** (power + 1), prepend=0.0, append=0.0)).sum()
         patch = strips * mean * (half_length**power).sum() * width + ends * ups_and_downs / 2
-        found.append(patch / (strips * a**power * b + ends * a ** (power + 1)))
+        shares.append(patch / (strips * a**power * b + ends * a ** (power + 1)))
     spread = 8 / np.pi * (half_length * position**2).sum() * width
-    found.append((steep * spread + flat * (a * b) ** 2) / (steep * a * b**3 + flat * (a * b) ** 2))
-    return a, b, tuple(float(c * share) for c, share in zip(kalker_coefficients(a / b), found, strict=True))
+    shares.append((steep * spread + flat * (a * b) ** 2) / (steep * a * b**3 + flat * (a * b) ** 2))
+    return a, b, tuple(float(c * share) for c, share in zip(kalker_coefficients(a / b, poisson), shares, strict=True))
 
 
 def polach(
     nu_x, nu_y, spin, load, a, b, c11, c22, c23, c33, shear_modulus, k_a, k_s, mu0, a_ratio, b_decay, slip_speed
-):  # fmt: skip
-    """Creep forces on a wheel: Polach's resultant, with falling friction, along the force of Kalker's linear theory.
+):
+    """Creep forces on a wheel: Polach's resultant with falling friction, in the direction of Kalker's linear force.
 
-    Spin is part of the linear force, so small creepages of any mixture meet linear theory. The moment about the contact
-    normal is Kalker's linear one, f23 nu_y - f33 spin, reduced like the force. Its term in nu_y is also multiplied by 1
-    - used + 2 used^2 (1 - used)^2, fitted to half spaces in steady rolling. Here `used` is the share of the friction in
-    use. All arguments are floats, arrays (elementwise) or CasADi SX. Values and derivatives stay finite at zero
-    creepage and load. Source: Polach 2005, eqs. (2) and (3) (resultant), Shen, Hedrick and Elkins 1983 (direction),
-    Kalker 1990 (moment).
+    The linear force includes spin, so small creepages of any mixture agree with linear theory. The moment about the
+    contact normal is Kalker's linear one, f23 nu_y - f33 spin, reduced like the force. Its term in nu_y is also
+    multiplied by 1 - used + 2 used^2 (1 - used)^2, where `used` is the fraction of the friction in use; this is fitted
+    to half spaces in steady rolling. All arguments are floats, arrays (elementwise) or CasADi SX. Values and
+    derivatives are finite at zero creepage and load. Source: Polach 2005, eqs. (2) and (3) (resultant), Shen, Hedrick
+    and Elkins 1983 (direction), Kalker 1990 (moment).
 
     Args:
         nu_x, nu_y, spin: Longitudinal and lateral creepage (-), spin creepage (1/m).
-        load: Normal force (N).
+        load, shear_modulus, slip_speed: Normal force (N), shear modulus (Pa), sliding speed of the contact (m/s).
         a, b: Semi-axes of the contact along and across the rail (m).
         c11, c22, c23, c33: Kalker's coefficients (-).
-        shear_modulus: Shear modulus (Pa).
         k_a, k_s: Reduction factors in the areas of adhesion and of slip (-); a k_s above k_a counts as k_a.
-        mu0, a_ratio, b_decay: Friction at rest (-), its ratio at high slip speed (-), and decay over the slip speed
-            (s/m).
-        slip_speed: Sliding speed of the contact (m/s).
+        mu0, a_ratio, b_decay: Friction at rest (-), its ratio at high slip speed (-), decay over slip speed (s/m).
 
     Returns:
         F_x, F_y: Tangential force on the wheel (N), never larger than the friction force.
@@ -134,7 +122,7 @@ def polach(
     m = elementary(nu_x, nu_y, spin, load)
     friction, root = mu0 * ((1 - a_ratio) * m.exp(-b_decay * slip_speed) + a_ratio), m.sqrt(a * b)
     along, across, turning, rolled = c11 * nu_x, c22 * nu_y, c23 * root * spin, c33 * a * b * spin**2
-    # Spin uses friction as its resultant and as its moment do, whichever is larger; a fourth power rounds the corner.
+    # Spin uses the friction of its resultant or of its moment, whichever is larger; a fourth power makes it smooth.
     spinning = m.sqrt(turning**4 + (_SPINNING * rolled) ** 2 + 1e-26)
     linear = m.sqrt(along**2 + across**2 + 2 * across * turning + spinning)
     stiffness = shear_modulus * a * b
@@ -147,23 +135,15 @@ def polach(
 
 
 def elementary(*values):
-    """Module with sqrt, exp, fmin and so on for these values: casadi if any of them is SX or MX, else numpy."""
+    """Module whose sqrt, exp, fmin … take these values: casadi if any of them is SX or MX, else numpy."""
     return ca if any(isinstance(value, ca.SX | ca.MX) for value in values) else np
 
 
 def adhesion_maximum(adhesion, speed: float, load: float, a: float, b: float, coefficients, shear_modulus: float):
-    """Adhesion maximum in pure traction, searched over longitudinal creepages of 1e-5 to 0.5.
-
-    Args:
-        adhesion (AdhesionSet): Parameters of Polach's law.
-        speed, load (float): Running speed (m/s), normal force (N).
-        a, b (float): Semi-axes of the contact along and across the rail (m).
-        coefficients (tuple of float): c11, c22, c23, c33 (-).
-        shear_modulus (float): Shear modulus (Pa).
-
-    Returns:
-        tuple of float: Largest creep force over normal force (-); longitudinal creepage at which it occurs (-).
-    """
+    """Adhesion maximum in pure traction: largest creep force over normal force (-), and the longitudinal creepage at
+    which it occurs (-), searched from 1e-5 to 0.5. `adhesion` is an `AdhesionSet`, `speed` the running speed (m/s),
+    `load` the normal force (N), `a` and `b` are the semi-axes of the contact along and across the rail (m),
+    `coefficients` c11, c22, c23, c33 (-). The shear modulus is in Pa."""
     slip = np.geomspace(1e-5, 0.5, 20_000)
     law = *coefficients, shear_modulus, *astuple(adhesion), slip * speed
     force, *_ = polach(-slip, 0.0, 0.0, load, a, b, *law)

@@ -1,6 +1,6 @@
-"""Normal contact of wheel and rail: Hertz's ellipse, and the elastic half space for real profiles. The contact modulus
-of two bodies of one material is E* = E / (2 (1 - nu^2)) (Johnson 1985, Contact Mechanics, section 4.2). Serves the
-paper's section Simulation Environment."""
+"""Normal contact of wheel and rail: Hertz's ellipse, and elastic half spaces for real profiles. The contact modulus of
+two bodies of one material is E* = E / (2 (1 - nu^2)) (Johnson 1985, Contact Mechanics, section 4.2). Serves the paper's
+section Simulation Environment."""
 
 from __future__ import annotations
 
@@ -11,26 +11,17 @@ from scipy import fft
 from scipy.special import ellipe, ellipk
 
 _FLAT = np.geomspace(0.1, 1.0, 400)
-_CELLS = 24, 72
-"""Cells along and across the rail of the fine grid of an elastic contact; the first, coarse grid has half of them."""
-_REACH = 1.3e-4
-"""Distance of the undeformed profiles up to which they may touch; more than the approach of any wheel here (m)."""
-_TOLERANCE = 1e-4
-"""Change of the pressure per iteration, relative to the load, at which it has settled (-)."""
-_TURNS, _TURNED = 4, 0.05
-"""Solutions in turned planes, and the turn that ends them (rad)."""
+_CELLS = 24, 72  # of the fine grid along and across the rail; the coarse grid has half as many in each direction
+_REACH = 1.3e-4  # gap of the undeformed profiles up to which they may touch (m), more than any wheel here approaches
+_TOLERANCE = 1e-4  # change of the pressure in an iteration, relative to the load, below which it has converged (-)
+_ITERATIONS, _CHANGE = 4, 0.05  # largest number of iterations over the contact angle, and change that ends them (rad)
 
 
 def hertz(curvature_x: float, curvature_y: float, load: float, modulus: float) -> tuple[float, float]:
-    """Semi-axes along and across the rail (m) of the elliptic contact of two bodies; ratio limited to 0.1 to 10.
-
-    Source: Johnson 1985, Contact Mechanics, section 4.2.
-
-    Args:
-        curvature_x, curvature_y (float): Sum of the curvatures of both bodies along and across the rail (1/m),
-            positive. The gap between the bodies is curvature_x x^2/2 + curvature_y y^2/2.
-        load, modulus (float): Normal force (N), contact modulus E* (Pa).
-    """
+    """Semi-axes along and across the rail (m) of the elliptic contact of two bodies; ratio limited to 0.1 to 10. The
+    gap between the bodies is curvature_x x^2/2 + curvature_y y^2/2 with x along the rail; both curvatures (1/m) are
+    positive. `load` is the normal force (N), `modulus` the contact modulus E* (Pa). Source: Johnson 1985, Contact
+    Mechanics, section 4.2."""
     m = 1 - _FLAT**2
     with np.errstate(invalid="ignore"):
         known = np.where(m > 0, (ellipe(m) / _FLAT**2 - ellipk(m)) / (ellipk(m) - ellipe(m)), 1.0)
@@ -49,11 +40,10 @@ class Patch:
     Attributes:
         position (float): Lateral distance of the centre of pressure from the track centre (m).
         height (float): Rolling radius at which the patch rolls without longitudinal force, minus the nominal radius
-            (m). It is a mean over the strips, weighted by their load to the power 2/3, which is their creep stiffness.
-        slope (float): Slope of the wheel profile, mean over the pressure (-): tangent of the angle of the force.
-        strips (ndarray, shape (n,)): Lateral position of each strip (m), in the contact plane, 0 at the centre of
-            pressure. A strip runs along the rail.
-        half_lengths (ndarray, shape (n,)): Half the length of each strip along the rail (m).
+            (m): mean over the strips, weighted by their creep stiffness, which grows as their load to the power 2/3.
+        slope (float): Slope of the wheel profile, mean over the pressure (-); tangent of the angle of the normal force.
+        strips, half_lengths (ndarray, shape (n,)): Lateral position of each strip in the contact plane, 0 at the centre
+            of pressure; half its length along the rail (m).
     """
 
     position: float
@@ -64,15 +54,14 @@ class Patch:
 
 
 def elastic_contact(position, height, slope, rail_depth, radius: float, load: float, modulus: float) -> Patch:
-    """Contact `Patch` of a wheel profile on a rail profile: elastic half spaces in the plane of the mean contact angle.
+    """Contact of a wheel profile with a rail profile: elastic half spaces in the plane of the mean contact angle.
 
-    A coarse grid finds where the bodies touch. A fine grid then covers this area only, so its number of cells is the
-    same for every patch. Source: Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact, ch. 4.
+    A coarse grid locates the contact. A fine grid then covers it with the same number of cells for every patch. Source:
+    Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact, ch. 4.
 
     Args:
         position (ndarray, shape (n,)): Lateral distance from the track centre, uniformly spaced (m).
-        height (ndarray, shape (n,)): Radius of the wheel profile minus the nominal radius (m).
-        slope (ndarray, shape (n,)): Slope of the wheel profile (-).
+        height, slope (ndarray, shape (n,)): Radius of the wheel profile minus the nominal radius (m); its slope (-).
         rail_depth (ndarray, shape (n,)): Depth of the rail below its top (m).
         radius, load, modulus (float): Nominal rolling radius (m), normal force (N), contact modulus E* (Pa).
     """
@@ -81,20 +70,20 @@ def elastic_contact(position, height, slope, rail_depth, radius: float, load: fl
     rolling, angle = radius + height[first], np.arctan(slope[first])
     near = position[gap * np.cos(angle) < _REACH]
     reach_x, reach_y = np.sqrt(2 * rolling * _REACH / np.cos(angle)), (near[0], near[-1])
-    for turn in range(_TURNS):
-        cos, cells = np.cos(angle), np.array(_CELLS) // (1 if turn else 2)
+    for iteration in range(_ITERATIONS):
+        cos, cells = np.cos(angle), np.array(_CELLS) // (1 if iteration else 2)
         x, y = np.linspace(-reach_x, reach_x, cells[0]), np.linspace(*reach_y, cells[1])
         cell = x[1] - x[0], (y[1] - y[0]) / cos
         distance = cos * (x[:, None] ** 2 / (2 * rolling) + np.interp(y, position, gap))
         pressure = half_space_pressure(distance, load, cell, modulus)
         across = pressure.sum(axis=0) / pressure.sum()
         mean = across @ np.interp(y, position, slope)
-        if turn and abs(np.arctan(mean) - angle) < _TURNED:
+        if iteration and abs(np.arctan(mean) - angle) < _CHANGE:
             break
         touched, angle = y[across > 0], np.arctan(mean)
         reach_x = np.abs(x[pressure.any(axis=1)]).max() + cell[0]
         reach_y = touched[0] - cell[1] * cos, touched[-1] + cell[1] * cos
-    # The pressure of a strip is half an ellipse, its variance a quarter of the square of its half-length.
+    # The pressure along a strip is semi-elliptic: its variance is a quarter of the squared half-length.
     variance = np.divide(x**2 @ pressure, pressure.sum(axis=0), out=np.zeros(len(y)), where=across > 0)
     stiffness = across ** (2 / 3)
     rolling = stiffness @ np.interp(y, position, height) / stiffness.sum()
@@ -102,16 +91,10 @@ def elastic_contact(position, height, slope, rail_depth, radius: float, load: fl
 
 
 def half_space_pressure(gap: np.ndarray, load: float, sides: tuple[float, float], modulus: float) -> np.ndarray:
-    """Normal pressure between two elastic half spaces (Pa), shape (nx, ny); 0 where they do not touch.
-
-    Raises ArithmeticError if it has not settled after 500 iterations. Source: Polonsky and Keer 1999 (conjugate
-    gradients).
-
-    Args:
-        gap (ndarray, shape (nx, ny)): Distance of the undeformed surfaces on a uniform grid (m).
-        load, modulus (float): Normal force (N), contact modulus E* (Pa).
-        sides (tuple of float): Grid steps in x and y (m).
-    """
+    """Normal pressure between two elastic half spaces (Pa), in the shape of `gap`; 0 where they do not touch. `gap`
+    (m), shape (nx, ny), is the distance between the undeformed surfaces on a grid with the steps `sides` in x and y
+    (m). `load` is the normal force (N), `modulus` the contact modulus E* (Pa). ArithmeticError if the pressure has not
+    settled after 500 iterations. Source: Polonsky and Keer 1999 (conjugate gradients)."""
     shape = [2 * n for n in gap.shape]
     transform = fft.rfft2(_influence(gap.shape, sides, modulus))
 
@@ -145,11 +128,10 @@ def half_space_pressure(gap: np.ndarray, load: float, sides: tuple[float, float]
 
 
 def _influence(shape: tuple[int, ...], sides: tuple[float, float], modulus: float) -> np.ndarray:
-    """Deflection at grid distances under unit pressure on one cell (m/Pa), wrapped for the FFT. Source: Love 1929."""
+    """Deflection at grid distances from a cell under unit pressure (m/Pa), wrapped for the FFT. Source: Love 1929."""
     x, y = np.meshgrid(*(fft.fftfreq(2 * n, 1 / (2 * n)) * d for n, d in zip(shape, sides, strict=True)), indexing="ij")
     total = np.zeros_like(x)
-    for sign_x in (1, -1):
-        for sign_y in (1, -1):
-            u, v = x + sign_x * sides[0] / 2, y + sign_y * sides[1] / 2
-            total = total + sign_x * sign_y * (u * np.arcsinh(v / np.abs(u)) + v * np.arcsinh(u / np.abs(v)))
+    for sign_x, sign_y in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        u, v = x + sign_x * sides[0] / 2, y + sign_y * sides[1] / 2
+        total = total + sign_x * sign_y * (u * np.arcsinh(v / np.abs(u)) + v * np.arcsinh(u / np.abs(v)))
     return total / (np.pi * modulus)

@@ -1,6 +1,6 @@
-"""Profiles of wheel and rail: S1002 and 60E1, from the coefficients of the standards. Serves the paper's section
-Simulation Environment (wheel-rail geometry of the plant). Profiles are functions of a lateral coordinate that is
-positive to the field side; heights are positive radially outwards (wheel) and downwards (rail)."""
+"""Profiles S1002 of the wheel and 60E1 of the rail, from the coefficients of the standards. Lateral coordinates are
+positive to the field side, heights radially outwards (wheel) and downwards (rail). Serves the paper's section
+Simulation Environment."""
 
 from __future__ import annotations
 
@@ -8,12 +8,9 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 MM = 1e-3
-TAPE_CIRCLE = 0.75
-"""Distance of the tape circle from the track centre, centred wheels (m): half of 1360 mm back to back, plus 70 mm."""
-GAUGE, GAUGE_DEPTH = 1.435, 0.014
-"""Track gauge, and the depth below the top of the rails at which it is measured (m)."""
-INCLINATION = np.arctan(1 / 40)
-"""Inclination of the rail towards the track centre (rad)."""
+TAPE_CIRCLE = 0.75  # distance of the tape circle from the track centre (m): half of 1360 mm back to back, plus 70 mm
+GAUGE, GAUGE_DEPTH = 1.435, 0.014  # track gauge, and depth below the top of the rails at which it is measured (m)
+INCLINATION = np.arctan(1 / 40)  # of the rail towards the track centre (rad)
 
 _TREAD = Polynomial(
     (0, -3.358537058e-2, 1.565681624e-3, -2.810427944e-5, 5.844240864e-8, -1.562379023e-8)
@@ -51,29 +48,24 @@ _S1002 = (
 
 def s1002(lateral) -> tuple[np.ndarray, np.ndarray]:
     """Wheel profile S1002: radius minus the nominal radius (m), and its derivative (-), each in the shape of `lateral`.
-
-    `lateral` is the distance from the tape circle (m), -0.07 to 0.06, positive to the field side. Source: EN 13715 (UIC
-    510-2), S1002 with 28 mm flange height and 32.5 mm flange thickness.
-    """
+    `lateral` is the distance from the tape circle (m), -0.07 to 0.06. Source: EN 13715 (UIC 510-2), S1002 with a flange
+    28 mm high and 32.5 mm thick."""
     s = np.asarray(lateral, dtype=float) / MM
     zones = [s >= limit for limit, _, _ in _S1002]
     height = np.select(zones, [f(s) for _, f, _ in _S1002], np.nan)
     return height * MM, np.select(zones, [df(s) for _, _, df in _S1002], np.nan)
 
 
-CROWN_RADIUS = 0.3
-"""Radius of the crown of the 60E1 head (m)."""
-# Radius and outer end of the arcs of the 60E1 head (mm); each arc continues its neighbour with the same tangent.
+CROWN_RADIUS = 0.3  # of the 60E1 head (m)
+# Radius and outer end of the arcs of the 60E1 head (mm); neighbouring arcs have a common tangent.
 _HEAD = ((CROWN_RADIUS / MM, 10.5), (80.0, 26.0), (13.0, None))
 _SIDE_SLOPE = 20.0
 
 
 def rail_head(lateral) -> np.ndarray:
-    """Depth of the 60E1 head below its crown (m), in the shape of `lateral`. The rail stands upright, not inclined.
-
-    `lateral` is the distance from the axis of symmetry (m), up to 0.036 to both sides. Source: EN 13674-1, radii 300,
-    80 and 13 mm; junctions fitted to measured points to 2 micrometres.
-    """
+    """Depth of the head of an upright 60E1 rail below its crown (m), in the shape of `lateral`. `lateral` is the
+    distance from the axis of symmetry (m), up to 0.036 to both sides. Source: EN 13674-1, radii 300, 80 and 13 mm; the
+    ends of the arcs are fitted to measured points within 2 micrometres."""
     y = np.abs(np.asarray(lateral, dtype=float)) / MM
     inside, depths = [], []
     centre, z = 0.0, _HEAD[0][0]
@@ -86,12 +78,8 @@ def rail_head(lateral) -> np.ndarray:
 
 
 def inclined_rail() -> tuple[np.ndarray, np.ndarray]:
-    """Cross-section of the right 60E1 rail in the track: inclined 1:40, with its gauge face at half the gauge.
-
-    Returns:
-        position (ndarray, shape (20001,)): Distance from the track centre (m), increasing.
-        depth (ndarray, shape (20001,)): Depth below the highest point of the rail (m).
-    """
+    """Cross-section of the right 60E1 rail, inclined 1:40, with its gauge face at half the gauge: distances from the
+    track centre, increasing, and depths below the highest point of the rail (m), each of shape (20001,)."""
     y = np.linspace(-36.0, 36.0, 20_001) * MM
     z = rail_head(y)
     turned = y * np.cos(INCLINATION) + z * np.sin(INCLINATION)

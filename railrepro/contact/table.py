@@ -1,13 +1,11 @@
 """Wheel-rail contact as a table over the lateral shift of the wheel: cone on a line rail, or S1002 on 60E1 at 1:40.
 
-The plant needs, at each shift u (positive towards the flange): the radius of the equivalent wheel on a knife-edge rail
-(its slope is the tangent of the contact angle, so the normal force is conservative), the true rolling radius and
-contact position, the contact ellipse, Kalker coefficients and Hertz stiffness. A rigid S1002 wheel on a rigid rail
-touches in a point that jumps by 12 mm in the middle of the track; under load the patch spans the jump. So geometry is
-averaged over the pressure of elastic half spaces at nominal load. Weight pushes a gear beside the middle back, spin
-pushes it on; the net force is a fifth of each, and within 15 % of half spaces. The normal force acts at the fixed line
-of the rail; moved with the patch it would change no error of a gear that keeps off its flanges by more than 1 %. Serves
-the paper's eqs. (10), (11) (cone) and section Simulation Environment.
+A rigid S1002 wheel touches a rigid rail at a point that jumps by 12 mm when the wheel is near the centre; under load
+the contact patch spans the jump. So the geometry is averaged over the pressure of elastic half spaces at nominal load.
+Off centre, the weight drives a running gear back and spin creep drives it away; the net force is a fifth of each, and
+within 15 % of that of half spaces. The normal force acts at a fixed line of the rail. If it moved with the patch, the
+lateral error of a gear without flange contact would change by less than 1 %. Serves the paper's eqs. (10), (11) (cone)
+and section Simulation Environment.
 """
 
 from __future__ import annotations
@@ -25,20 +23,15 @@ from railrepro.contact.creep import elementary, kalker_coefficients, strip_coeff
 from railrepro.data import InputError, require
 from railrepro.vehicle.parameters import Vehicle
 
-_LINEAR = (
-    *("rolling_radius", "rail_contact", "semi_axis_x", "semi_axis_y"),
-    *("c11", "c22", "c23", "c33", "normal_stiffness"),
-)
-CELL_COLUMNS = (
-    *("shift", "width", "effective_radius", "radius_slope", "radius_square", "radius_cube"),
-    *(column for name in _LINEAR for column in (name, f"d{name}")),
-)
+_ELLIPSE = ("semi_axis_x", "semi_axis_y", "c11", "c22", "c23", "c33")
+_LINEAR = ("rolling_radius", "rail_contact", *_ELLIPSE, "normal_stiffness")
+_USED = ("shift", "effective_radius", "angle_rad", *_LINEAR)  # columns, without units, that determine the cells
+_CUBIC = ("shift", "width", "effective_radius", "radius_slope", "radius_square", "radius_cube")
+CELL_COLUMNS = (*_CUBIC, *(column for name in _LINEAR for column in (name, f"d{name}")))
 """Entries of a cell of the table (SI): shift at its start, its width, the coefficients of the effective radius as a
-cubic in the offset from the start, and of each other quantity the value at the start and its slope (d…) over the
-shift."""
-_BEYOND = 1e-12
-"""How far a cell goes on beyond its ends (m): at a node, also a rounded one, derivatives are those of the cell."""
-_PATCH = ("semi_axis_x_m", "semi_axis_y_m", "c11", "c22", "c23", "c33")
+cubic in the offset from the start; for each other quantity its value at the start and its slope (d…) over the shift."""
+_BEYOND = 1e-12  # cells extend so far beyond their ends (m) that a node, even if rounded, has their derivatives
+_PATCH = ("semi_axis_x_m", "semi_axis_y_m", *_ELLIPSE[2:])
 
 
 @dataclass(frozen=True)
@@ -46,37 +39,29 @@ class ContactTable:
     """Contact quantities over the lateral shift of a wheel towards its flange.
 
     Attributes:
-        frame (DataFrame): One row per shift, uniformly spaced. Columns: shift_m; effective_radius_m; angle_rad (contact
-            angle); rolling_radius_m; rail_contact_m (lateral position of the contact on the rail, from half the contact
-            base, positive to the field side); semi_axis_x_m, semi_axis_y_m (at nominal load); Kalker's c11, c22, c23,
-            c33 (-); normal_stiffness (N/m^1.5).
+        frame (DataFrame): One row per shift, uniformly spaced. Columns: shift_m; effective_radius_m (its slope is the
+            tangent of the contact angle, so the normal force is conservative); angle_rad (contact angle);
+            rolling_radius_m; rail_contact_m (lateral position of the contact on the rail, from half the contact base,
+            positive to the field side); semi_axis_x_m, semi_axis_y_m (at nominal load); Kalker's c11, c22, c23, c33
+            (-); normal_stiffness (N/m^1.5).
     """
 
     frame: pd.DataFrame
 
     def cells(self) -> np.ndarray:
-        """Coefficients to interpolate between the n rows of `frame`, with columns `CELL_COLUMNS` (SI); read-only.
-
-        Shape (n - 1, columns): row i covers the shifts from row i to row i + 1 of `frame`. The effective radius is a
-        cubic with continuous slope, all else is linear. Source: de Boor, A Practical Guide to Splines, ch. IV.
-
-        Raises:
-            InputError: `frame` lacks a column or has a value that is no finite number, or its shifts are not uniformly
-                spaced from below to above 0.
-        """
+        """Coefficients to interpolate between the n rows of `frame`, shape (n - 1, len(CELL_COLUMNS)), SI, read-only.
+        Row i covers the shifts from row i to row i + 1 of `frame`. The effective radius is a cubic with continuous
+        slope, all else is linear. InputError if `frame` lacks a column, has a value that is not a finite number, or its
+        shifts are not uniformly spaced from below to above 0. Source: de Boor, A Practical Guide to Splines, ch. IV."""
         require("contact table: frame", self.frame, pd.DataFrame)
         given = {name.removesuffix("_m"): column for name, column in self.frame.items()}
         used = [for_c(f"contact table: {name}", given.get(name), (len(self.frame),)) for name in _USED]
         return _cells(np.array(used).tobytes())
 
 
-_USED = ("shift", "effective_radius", "angle_rad", *_LINEAR)
-"""Columns of a contact table, without their unit, from which its cells follow."""
-
-
 @lru_cache(maxsize=16)
 def _cells(content: bytes) -> np.ndarray:
-    """Cells of a table whose columns `_USED` have these values one after the other: a frame may be edited."""
+    """Cells of a table whose columns `_USED` have these values. A frame may be edited, so it is no key of a cache."""
     quantities = dict(zip(_USED, np.frombuffer(content).reshape(len(_USED), -1), strict=True))
     shift, radius = quantities["shift"], quantities["effective_radius"]
     slope, h = np.tan(quantities["angle_rad"]), np.diff(shift)
@@ -99,15 +84,15 @@ def _cells(content: bytes) -> np.ndarray:
 
 
 def in_cell(cell: dict, offset) -> dict:
-    """Contact quantities at a shift inside a row of `ContactTable.cells`.
+    """Contact quantities at a shift in a row of `ContactTable.cells`.
 
-    A wheel that hits its flange leaves the row by several widths within a stage of the integrator. Beyond the row the
-    effective radius and the rolling radius go on along their tangent and all else keeps its value. So the effective
-    radius stays the integral of its slope, and the contact makes no energy.
+    A wheel that hits its flange may leave the row by several widths in a stage of the integrator. There the effective
+    radius and the rolling radius continue along their tangents, and all else is constant. So the effective radius
+    remains the integral of its slope, and the contact generates no energy.
 
     Args:
         cell (dict): Name in `CELL_COLUMNS` -> number, array or symbol.
-        offset: Shift minus the shift at which the row starts (m), of the same kind.
+        offset: Shift minus the shift at the start of the row (m), of the same kind.
 
     Returns:
         dict: Keys effective_radius (m), slope (its derivative, the tangent of the contact angle, -), rolling_radius,
@@ -115,41 +100,37 @@ def in_cell(cell: dict, offset) -> dict:
     """
     first, square, cube = (cell[f"radius_{name}"] for name in ("slope", "square", "cube"))
     m = elementary(offset)
-    held = m.fmin(m.fmax(offset, -_BEYOND), cell["width"] + _BEYOND)
-    slope = first + held * (2 * square + held * 3 * cube)
-    beyond = slope * (offset - held)
-    at = {name: cell[name] + cell[f"d{name}"] * held for name in _LINEAR}
-    at["effective_radius"] = cell["effective_radius"] + held * (first + held * (square + held * cube)) + beyond
+    inside = m.fmin(m.fmax(offset, -_BEYOND), cell["width"] + _BEYOND)
+    slope = first + inside * (2 * square + inside * 3 * cube)
+    beyond = slope * (offset - inside)
+    at = {name: cell[name] + cell[f"d{name}"] * inside for name in _LINEAR}
+    at["effective_radius"] = cell["effective_radius"] + inside * (first + inside * (square + inside * cube)) + beyond
     return at | {"slope": slope, "rolling_radius": at["rolling_radius"] + beyond}
 
 
 def contact_table(profile: str, vehicle: Vehicle) -> ContactTable:
-    """`ContactTable` of the wheel profile "cone" or "s1002" on its rail, with radius, load and material of a vehicle.
-    Raises InputError for another profile."""
+    """Make the table of the wheel profile "cone" or "s1002" with radius, load and material of a vehicle. InputError for
+    another profile."""
     material = vehicle.contact
     modulus = material.young / (2 * (1 - material.poisson**2))
     if profile == "cone":
         return _cone(vehicle, modulus)
     if profile != "s1002":
         raise InputError(f"profile {profile!r} is not known; there are cone and s1002")
-    return pair_table(vehicle.wheel.radius, material.nominal_load, modulus, material.normal_stiffness)
+    load, stiffness = material.nominal_load, material.normal_stiffness
+    return pair_table(vehicle.wheel.radius, load, modulus, material.poisson, stiffness)
 
 
 def middle_patch(vehicle: Vehicle) -> tuple[float, float, tuple[float, ...]]:
-    """Contact ellipse of a wheel with the profile of the vehicle, centred in the track, at nominal load.
-
-    Returns:
-        a, b (float): Semi-axes along and across the rail (m).
-        coefficients (tuple of float): Kalker's c11, c22, c23, c33 (-).
-    """
+    """Contact ellipse of a wheel of the vehicle centred in the track, at nominal load: semi-axes along and across the
+    rail (m), and the tuple of Kalker's c11, c22, c23, c33 (-)."""
     frame = contact_table(vehicle.contact.profile, vehicle).frame
     a, b, *coefficients = frame.loc[frame["shift_m"].abs().argmin(), [*_PATCH]].tolist()
     return a, b, tuple(coefficients)
 
 
 def _cone(vehicle: Vehicle, modulus: float) -> ContactTable:
-    """Cone on a line-shaped rail: r = r0 + u tan(delta0); the ellipse is that of the rail's crown. Source: eqs. (10),
-    (11)."""
+    """Cone on a line-shaped rail: r = r0 + u tan(delta0), ellipse of the rail's crown. Source: eqs. (10), (11)."""
     along = np.cos(vehicle.wheel.cone_angle) / vehicle.wheel.radius
     a, b = normal.hertz(along, 1 / profiles.CROWN_RADIUS, vehicle.contact.nominal_load, modulus)
     shift = np.arange(-400, 401) * 1e-4
@@ -160,7 +141,7 @@ def _cone(vehicle: Vehicle, modulus: float) -> ContactTable:
         "rolling_radius_m": radius,
         "angle_rad": vehicle.wheel.cone_angle,
         "rail_contact_m": 0.0,
-        **dict(zip(_PATCH, (a, b, *kalker_coefficients(a / b)), strict=True)),
+        **dict(zip(_PATCH, (a, b, *kalker_coefficients(a / b, vehicle.contact.poisson)), strict=True)),
         "normal_stiffness": vehicle.contact.normal_stiffness,
     }
     return ContactTable(pd.DataFrame(columns))
@@ -168,7 +149,7 @@ def _cone(vehicle: Vehicle, modulus: float) -> ContactTable:
 
 @cache
 def _rail() -> tuple[np.ndarray, np.ndarray]:
-    """Uniform lateral grid over the rail head and its depth (m)."""
+    """Uniform lateral grid over the rail head, and depth of the head (m)."""
     points, depth = profiles.inclined_rail()
     step = 2e-5
     position = np.arange(np.ceil(points[0] / step), np.floor(points[-1] / step)) * step
@@ -176,34 +157,26 @@ def _rail() -> tuple[np.ndarray, np.ndarray]:
 
 
 def section(shift: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Cross-section of an S1002 wheel on a 60E1 rail at 1:40. The wheel is shifted towards its flange by `shift` (m).
-
-    Returns:
-        position (ndarray, shape (n,)): Lateral distance from the track centre (m).
-        height (ndarray, shape (n,)): Radius of the wheel profile minus the nominal radius (m).
-        slope (ndarray, shape (n,)): Slope of the wheel profile (-), positive where the radius grows towards the flange.
-        depth (ndarray, shape (n,)): Depth of the rail below its top (m).
-    """
+    """Cross-section of an S1002 wheel, shifted towards its flange by `shift` (m), on a 60E1 rail at 1:40. Returns
+    arrays of shape (n,): lateral distance from the track centre (m); radius of the wheel profile minus the nominal
+    radius (m); slope of the profile (-), positive where the radius grows towards the flange; depth of the rail below
+    its top (m)."""
     position, depth = _rail()
     height, slope = profiles.s1002(position - profiles.TAPE_CIRCLE - shift)
     return position, height, -slope, depth
 
 
 @stored
-def pair_table(radius: float, load: float, modulus: float, stiffness: float) -> ContactTable:
-    """`ContactTable` of S1002 on 60E1 at 1:40, averaged over the elastic patch, with a row every 0.1 mm.
-
-    The effective radius is the integral of the mean slope. The Hertz stiffness is the same at every shift, because
-    otherwise the contact would make energy. Source: Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact.
-
-    Args:
-        radius, load (float): Nominal rolling radius (m), normal force (N).
-        modulus, stiffness (float): Contact modulus E* (Pa), Hertz stiffness (N/m^1.5).
-    """
+def pair_table(radius: float, load: float, modulus: float, poisson: float, stiffness: float) -> ContactTable:
+    """Table of S1002 on 60E1 at 1:40, averaged over the elastic patch, with a row every 0.1 mm. Arguments: nominal
+    rolling radius (m), normal force (N), contact modulus E* (Pa), Poisson's ratio (-), Hertz stiffness (N/m^1.5). The
+    stiffness is the same at every shift, otherwise the contact would generate energy. Source: Kalker 1990,
+    Three-Dimensional Elastic Bodies in Rolling Contact."""
     shifts = np.arange(-150, 121) * 1e-4
     patches = [normal.elastic_contact(*section(shift), radius, load, modulus) for shift in shifts]
     position, height, slope = np.array([(patch.position, patch.height, patch.slope) for patch in patches]).T
-    a, b, coefficients = zip(*(strip_coefficients(patch.half_lengths, patch.strips) for patch in patches), strict=True)
+    strips = [strip_coefficients(patch.half_lengths, patch.strips, poisson) for patch in patches]
+    a, b, coefficients = zip(*strips, strict=True)
     centre = int(np.argmin(np.abs(shifts)))
     depth_at_contact = np.interp(position[centre], *_rail())
     climb = PchipInterpolator(shifts, slope).antiderivative()(shifts)
@@ -221,16 +194,10 @@ def pair_table(radius: float, load: float, modulus: float, stiffness: float) -> 
 
 
 def equivalent_conicity(frame: pd.DataFrame, amplitude: float) -> float:
-    """Equivalent conicity (-): slope of the cones on which a wheelset oscillates with the same wavelength.
-
-    The motion follows y'' = -(r_ri - r_le)/(b r_0) along the track, without roll; b and r_0 cancel out. The result is 0
-    where the difference of the radii does not bring the wheelset back. Source: EN 15302, by integration of the equation
-    of motion.
-
-    Args:
-        frame (DataFrame): Columns shift_m, reaching at least `amplitude` to both sides, and rolling_radius_m.
-        amplitude (float): Amplitude of the lateral oscillation (m).
-    """
+    """Equivalent conicity (-): slope of cones on which a wheelset would oscillate with the same wavelength at a lateral
+    amplitude (m); 0 if the wheelset does not return. `frame` has the columns rolling_radius_m and shift_m, which covers
+    the amplitude on both sides. The motion follows y'' = -(r_ri - r_le)/(b r_0) along the track, without roll; b and
+    r_0 cancel out. Source: EN 15302, by integration of the equation of motion."""
     y = np.linspace(0.0, amplitude, 4001)
     right, left = (np.interp(side * y, frame["shift_m"], frame["rolling_radius_m"]) for side in (1, -1))
     potential = CubicSpline(y, right - left).antiderivative()

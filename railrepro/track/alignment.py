@@ -1,6 +1,5 @@
-"""Track alignments and how data/tracks.toml describes them. A track is a sequence of segments along which curvature,
-cant angle and inclination change linearly: straight, clothoid with cant ramp, arc. Serves the paper's section Test
-Tracks (Table I)."""
+"""Track alignments, and the entries of data/tracks.toml that describe them. Serves the paper's section Test Tracks
+(Table I)."""
 
 from __future__ import annotations
 
@@ -10,26 +9,21 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from railrepro import data, paths
-from railrepro.data import InputError, Number, above, between
+from railrepro.data import Number, above, between
 from railrepro.paths import Entries
 
-GRAVITY = 9.81
-CANT_BASE = 1.5
-"""Base of the superelevation (m): the only standard value that reproduces Table I, with b sin(phi)."""
-MAX_CANT = 0.3
-"""Largest cant angle of a track (rad), 0.44 m on the standard base: twice what railways build."""
-LONGEST = 1e5
-"""Longest segment, and longest track of a CSV (m)."""
+GRAVITY = 9.81  # m/s2
+CANT_BASE = 1.5  # base b of the superelevation b sin(phi) (m): the only standard value that reproduces Table I
+MAX_CANT = 0.3  # largest cant angle of a track (rad), twice that of real railways
+LONGEST = 1e5  # longest segment, and longest track of a CSV (m)
 LENGTH, RADIUS = between(1e-6, LONGEST, "m"), above(50.0, math.inf, "m", signed=True)
 
 
 @dataclass(frozen=True)
 class Segment:
-    """Stretch of a track with the length `length` (m).
-
-    `kappa`, `phi` and `eps` are pairs (value at the start, value at the end), linear in between: curvature (1/m,
-    positive to the right), cant angle (rad, positive right side down), inclination (rad, positive uphill).
-    """
+    """Stretch of a track with the length `length` (m), such as a straight, a clothoid with cant ramp or an arc.
+    Curvature `kappa` (1/m, positive to the right), cant angle `phi` (rad, positive right side down) and inclination
+    `eps` (rad, positive uphill) are pairs: value at the start, value at the end. In between they change linearly."""
 
     length: float
     kappa: tuple[float, float]
@@ -39,12 +33,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class Alignment:
-    """Track as a sequence of segments.
-
-    Attributes:
-        name (str), segments (tuple of Segment): Name of the track; its segments in order.
-        design_speed (float or None): Design speed of a curve entry (m/s); None for a track given by segments.
-    """
+    """Track as a sequence of segments. `design_speed` (m/s) is that of a curve entry, otherwise None."""
 
     name: str
     segments: tuple[Segment, ...]
@@ -56,22 +45,10 @@ class Alignment:
         return sum(segment.length for segment in self.segments)
 
 
-def superelevation_angle(speed: float, radius: float, unbalanced_acceleration: float) -> float:
-    """Cant angle of a curve (rad), with the sign of the radius. InputError if no angle fits.
-
-    `speed` in m/s; `radius` in m, negative for a curve to the left; `unbalanced_acceleration`: lateral acceleration
-    that the cant leaves (m/s2). Source: paper, footnote to Table I.
-    """
-    sine = (speed**2 / abs(radius) - unbalanced_acceleration) / GRAVITY
-    if not -1 < sine < 1:
-        raise InputError(f"no cant angle gives {unbalanced_acceleration} m/s2 at {speed:.1f} m/s on radius {radius} m")
-    return math.copysign(math.asin(sine), radius)
-
-
 @data.table
 class CurveEntry:
-    """Entry of data/tracks.toml for a curve entry: a straight, a clothoid with cant ramp, an arc. The cant is chosen so
-    that `unbalanced_acceleration_mps2` remains at the design speed. A negative radius is a curve to the left."""
+    """Curve entry in data/tracks.toml: a straight, a clothoid with cant ramp, an arc. At the design speed, the cant
+    leaves the lateral acceleration `unbalanced_acceleration_mps2`. A curve to the left has a negative radius."""
 
     design_speed_kmh: Annotated[Number, above(0.0, 450.0, "km/h")]
     unbalanced_acceleration_mps2: Annotated[Number, between(-3.0, 3.0, "m/s2")]
@@ -81,17 +58,19 @@ class CurveEntry:
     arc_m: Annotated[Number, LENGTH]
 
     def __post_init__(self):
-        if not abs(self.cant) <= MAX_CANT:
-            raise ValueError(f"needs a cant angle of {self.cant:.3g} rad, up to {MAX_CANT} rad either side is allowed")
+        if not abs(self.sine_of_cant) <= math.sin(MAX_CANT):
+            found, most = CANT_BASE * self.sine_of_cant, CANT_BASE * math.sin(MAX_CANT)
+            raise ValueError(f"needs a superelevation of {found:.3g} m, {-most:.3g} to {most:.3g} m is allowed")
 
     @property
-    def cant(self) -> float:
-        """Cant angle of the arc (rad)."""
-        return superelevation_angle(self.design_speed_kmh / 3.6, self.radius_m, self.unbalanced_acceleration_mps2)
+    def sine_of_cant(self) -> float:
+        """Sine of the cant angle of the arc, positive right side down. Source: footnote to Table I."""
+        centrifugal = (self.design_speed_kmh / 3.6) ** 2 / abs(self.radius_m)
+        return math.copysign(1.0, self.radius_m) * (centrifugal - self.unbalanced_acceleration_mps2) / GRAVITY
 
     def alignment(self, name: str) -> Alignment:
-        """`Alignment` called `name` with the three segments straight, clothoid and arc."""
-        kappa, phi, level = 1 / self.radius_m, self.cant, (0.0, 0.0)
+        """Alignment called `name`: straight, clothoid and arc."""
+        kappa, phi, level = 1 / self.radius_m, math.asin(self.sine_of_cant), (0.0, 0.0)
         segments = (
             Segment(self.straight_m, level, level, level),
             Segment(self.clothoid_m, (0.0, kappa), (0.0, phi), level),
@@ -102,11 +81,8 @@ class CurveEntry:
 
 @data.table
 class SegmentEntry:
-    """One segment in data/tracks.toml: its length, and radius, superelevation and inclination at its end.
-
-    Without a key the value is that at the end of the previous segment; a track begins straight and level. A negative
-    radius is a curve to the left, inf is straight.
-    """
+    """Segment in data/tracks.toml: its length, and radius, superelevation and inclination at its end. A missing value
+    stays as at the end of the previous segment. A negative radius is a curve to the left, inf is straight."""
 
     length_m: Annotated[Number, LENGTH]
     radius_m: Annotated[Number, RADIUS] | None = None
@@ -116,12 +92,12 @@ class SegmentEntry:
 
 @data.table
 class SegmentsEntry:
-    """Entry of data/tracks.toml for a track as a tuple of `SegmentEntry`; the first begins straight and level."""
+    """Entry of data/tracks.toml for a track given by its segments. The track begins straight and level."""
 
     segments: Annotated[tuple[SegmentEntry, ...], data.NOT_EMPTY]
 
     def alignment(self, name: str) -> Alignment:
-        """`Alignment` called `name`. Each segment starts with the values at the end of the previous one."""
+        """Alignment called `name`. Each segment starts with the values at the end of the previous one."""
         made, kappa, phi, eps = [], 0.0, 0.0, 0.0
         for entry in self.segments:
             end_kappa = kappa if entry.radius_m is None else 1 / entry.radius_m
@@ -133,11 +109,11 @@ class SegmentsEntry:
 
 
 def alignments(path: Path | str | None = None) -> Entries[Alignment]:
-    """Dict: name -> `Alignment` of a track in a TOML file, default data/tracks.toml. InputError for a wrong entry."""
+    """Read all tracks of a TOML file, default data/tracks.toml. InputError for a wrong entry."""
     file = data.location(path, paths.source("data/tracks.toml"))
-    found: dict = {}
-    for name, entry in data.read(file).items():
-        piecewise = isinstance(entry, dict) and "segments" in entry
+    tracks = {}
+    for name, content in data.read(file).items():
+        piecewise = isinstance(content, dict) and "segments" in content
         kind: Any = dict[str, SegmentsEntry] if piecewise else dict[str, CurveEntry]
-        found |= data.build(kind, {name: entry}, file.name)
-    return Entries({name: entry.alignment(name) for name, entry in found.items()}, "data/tracks.toml")
+        tracks[name] = data.build(kind, {name: content}, file.name)[name].alignment(name)
+    return Entries(tracks, "data/tracks.toml")

@@ -1,9 +1,5 @@
-"""Track irregularities: spectra, random realisations, the rails of a track centre.
-
-A frame of irregularities has the coordinate p_m and four channels of the track centre, signs as in the car: alignment
-(`lateral_m`, right positive), longitudinal level (`vertical_m`, down positive), cross level as an angle
-(`crosslevel_rad`, right rail down positive) and gauge (`gauge_m`, wider than nominal positive).
-"""
+"""Track irregularities: spectra, random realisations, and the check of frames of irregularities. The columns of a frame
+are p_m and those of `CHANNELS`: alignment of the track centre, longitudinal level, cross level, gauge."""
 
 from __future__ import annotations
 
@@ -19,39 +15,25 @@ from railrepro import data, paths
 from railrepro.data import InputError, Number, above, between, require
 
 CHANNELS = {"lateral": "lateral_m", "vertical": "vertical_m", "crosslevel": "crosslevel_rad", "gauge": "gauge_m"}
-"""Channels in the order of their random generators, with their columns."""
-LARGEST = 0.1
-"""Largest number of any channel; beyond it the unit is wrong."""
-_RANGES = {column: (-LARGEST, LARGEST) for column in CHANNELS.values()}
-_RANGES |= {"lateral_m": (-0.02, 0.02), "gauge_m": (-0.01, 0.035)}
-"""What is allowed in a frame, of lateral position and gauge what the flangeway takes (m)."""
-SHORTEST, LONGEST = 3.0, 100.0
-"""Wavelengths of random irregularities (m)."""
-D1 = 3.0, 25.0
-"""Wavelengths (m) in which EN 13848-1 judges level and alignment."""
-
-_ERRI = {
+"""Channel -> column of a frame, in the order of their random generators."""
+LARGEST = 0.1  # largest magnitude in any channel (m, rad); beyond it the unit is wrong
+_RANGES = dict.fromkeys(CHANNELS.values(), (-LARGEST, LARGEST))  # permitted values (m, rad)
+_RANGES |= {"lateral_m": (-0.02, 0.02), "gauge_m": (-0.01, 0.035)}  # so that wheels stay between the rails
+SHORTEST, LONGEST = 3.0, 100.0  # wavelengths of random irregularities (m)
+D1 = 3.0, 25.0  # wavelengths at which EN 13848-1 assesses level and alignment (m)
+_ERRI = {  # amplitudes (m rad)
     "erri_low": {"lateral": 2.119e-7, "vertical": 4.032e-7, "gauge": 5.32e-8},
     "erri_high": {"lateral": 6.125e-7, "vertical": 10.80e-7, "gauge": 1.032e-7},
 }
-"""Amplitudes (m rad)."""
-_C, _R, _S = 0.8246, 0.0206, 0.4380
-"""Corner wavenumbers (rad/m)."""
-HALF_BASE = 0.75
-"""Half the distance of the rails to which a cross level refers (m)."""
+_C, _R, _S = 0.8246, 0.0206, 0.4380  # corner wavenumbers (rad/m)
+HALF_BASE = 0.75  # half the distance between the rails, to which a cross level refers (m)
 SEED = between(0, 2**63)
-"""Seeds of random irregularities."""
 
 
 @data.table
 class Quality:
-    """Track quality, an entry of data/irregularities.toml.
-
-    Attributes:
-        level_mm, alignment_mm (float): Standard deviation of longitudinal level and of alignment of one rail at
-            wavelengths of 3 to 25 m (mm).
-        confidence (str): Trust in both numbers: VV reproduced, V read, D derived, R recalled, A assumed.
-    """
+    """Track quality, an entry of data/irregularities.toml: standard deviations (mm) of longitudinal level and alignment
+    of one rail at wavelengths of 3 to 25 m. `confidence` is VV reproduced, V read, D derived, R recalled, A assumed."""
 
     level_mm: Annotated[Number, above(0.05, 20.0, "mm")]
     alignment_mm: Annotated[Number, above(0.05, 20.0, "mm")]
@@ -59,16 +41,16 @@ class Quality:
 
 
 def irregularity_spectrum(spectrum: str, channel: str, wavenumber: np.ndarray) -> np.ndarray:
-    """One-sided power spectral density of one channel of irregularities, in the shape of `wavenumber`. InputError for
-    an unknown spectrum or channel.
+    """One-sided power spectral density of a channel, in the shape of `wavenumber`. InputError for an unknown spectrum
+    or channel.
 
-    The gauge spectrum has the form of the cross-level spectrum. Its amplitude is recalled from German high-speed
+    The gauge spectrum has the form of the cross-level spectrum; its amplitude is recalled from German high-speed
     spectra (confidence R). Source: ERRI B176.
 
     Args:
         spectrum (str): "erri_low", "erri_high", or an entry of data/irregularities.toml such as "en_B_300". An entry
-            scales "erri_low" to the standard deviations of its `Quality`: "vertical" and "crosslevel" by one factor,
-            "lateral" and "gauge" by another.
+            scales "erri_low" to its standard deviations: "vertical" and "crosslevel" by one factor, "lateral" and
+            "gauge" by another.
         channel (str): "lateral", "vertical", "gauge" (m^2/(rad/m)) or "crosslevel" (rad^2/(rad/m)).
         wavenumber (ndarray): Angular wavenumber (rad/m).
     """
@@ -78,7 +60,7 @@ def irregularity_spectrum(spectrum: str, channel: str, wavenumber: np.ndarray) -
 
 
 def _density(amplitude: dict[str, float], channel: str, wavenumber: np.ndarray) -> np.ndarray:
-    """Spectrum of a channel, see `irregularity_spectrum`."""
+    """`irregularity_spectrum` of a channel with the amplitudes from `_amplitudes`."""
     w2, c2, r2, s2 = wavenumber**2, _C**2, _R**2, _S**2
     shape = c2 / ((w2 + r2) * (w2 + c2))
     if channel == "crosslevel":
@@ -89,7 +71,7 @@ def _density(amplitude: dict[str, float], channel: str, wavenumber: np.ndarray) 
 
 
 def _amplitudes(spectrum: str) -> dict[str, float]:
-    """Amplitudes of lateral, vertical and gauge (m rad)."""
+    """Amplitudes of the channels lateral, vertical and gauge in a spectrum (m rad)."""
     classes = track_quality()
     if spectrum in tuple(_ERRI):
         return _ERRI[spectrum]
@@ -106,40 +88,36 @@ def _amplitudes(spectrum: str) -> dict[str, float]:
 
 
 def track_quality() -> dict[str, Quality]:
-    """The `Quality` entries of data/irregularities.toml, as a dict by name. InputError for a wrong entry, and for one
-    with the name of a built-in spectrum."""
+    """Read data/irregularities.toml. InputError for a wrong entry or one with the name of a built-in spectrum."""
     file = paths.source("data/irregularities.toml")
     classes = data.build(dict[str, Quality], data.read(file), file.name)
-    for name in _ERRI:
-        if name in classes:
-            raise InputError(f"{file.name}: {name} is a built-in spectrum, another name is needed")
+    for name in _ERRI.keys() & classes.keys():
+        raise InputError(f"{file.name}: {name} is a built-in spectrum, another name is needed")
     return classes
 
 
 def irregularities(p: np.ndarray, spectrum: str = "erri_low", seed: int = 1) -> pd.DataFrame:
-    """Random irregularities of the rails as a frame for `railrepro.track.route.lay`.
+    """Make random irregularities for `railrepro.track.route.lay`: a frame with the columns p_m, lateral_m (right
+    positive), vertical_m (down positive), crosslevel_rad (right rail down positive) and gauge_m (wider positive).
 
     They are a sum of cosines with random phases and wavelengths of 3 to 100 m, faded in and out over 30 m at the ends.
-    The sum repeats after 4096 m (a longer track: the next power of two), so shorter tracks have the same rails at the
-    same p. Source: Shinozuka and Deodatis 1991, Applied Mechanics Reviews 44, 191 (spectral representation by FFT).
+    The sum repeats after 4096 m, on a longer track after the next power of two. So all tracks up to 4096 m have the
+    same irregularities at the same p. Source: Shinozuka and Deodatis 1991, Applied Mechanics Reviews 44, 191 (spectral
+    representation by FFT).
 
     Args:
         p (ndarray, shape (n,)): Track coordinates (m), increasing by steps of up to 1.5 m.
-        spectrum (str): See `irregularity_spectrum`.
-        seed (int): Seed of the random phases, from 0 up to 2^63. Each channel has its own generator.
-
-    Returns:
-        DataFrame: Columns p_m, lateral_m (right positive), vertical_m (down positive), crosslevel_rad (right rail down
-            positive), gauge_m (wider positive).
+        spectrum (str): As in `irregularity_spectrum`.
+        seed (int): Seed of the random phases, 0 to 2^63.
     """
     require("irregularities: seed", seed, SEED, whole=True)
     p = coordinates("irregularities", p, SHORTEST / 2)
     period = 2.0 ** math.ceil(math.log2(max(p[-1] - p[0], 32 * LONGEST)))
-    # The quintic spline through sixteen points or more in the shortest wave errs by 1e-7 of it.
+    # A quintic spline through at least sixteen points per wave has an error of 1e-7 of its amplitude.
     step = 2.0 ** math.floor(math.log2(SHORTEST / 16))
     low, high = period / LONGEST, period / SHORTEST
     wave = np.arange(round(low), round(high) + 1)
-    # Waves at the ends of the band stand for the part of their interval that lies inside it.
+    # The first and last wave represent only the part of their interval inside the band.
     width = (np.clip(wave + 0.5, low, high) - np.clip(wave - 0.5, low, high)) / period
     fade, amplitude = smooth_step(np.minimum(p - p[0], p[-1] - p) / 30.0), _amplitudes(spectrum)
     columns = {"p_m": p}
@@ -154,30 +132,30 @@ def irregularities(p: np.ndarray, spectrum: str = "erri_low", seed: int = 1) -> 
 
 
 def check(frame: pd.DataFrame) -> None:
-    """Raise InputError unless a frame of irregularities is valid: columns p_m and those of `CHANNELS`, p_m increasing.
-
-    Permitted are lateral_m of +-0.02 m, gauge_m of -0.01 to 0.035 m, vertical_m of +-0.1 m, crosslevel_rad of +-0.1
-    rad.
-    """
+    """Raise InputError unless a frame has p_m, which increases, and the columns of `CHANNELS` within their ranges:
+    lateral_m +-0.02 m, gauge_m -0.01 to 0.035 m, vertical_m +-0.1 m, crosslevel_rad +-0.1 rad."""
     require("irregularities", frame, pd.DataFrame)
-    missing = sorted({"p_m", *CHANNELS.values()} - set(frame))
-    if missing:
-        raise InputError(f"irregularities lack the column {missing[0]}, needed are p_m and {list(CHANNELS.values())}")
+    for column in sorted({"p_m", *CHANNELS.values()} - set(frame)):
+        raise InputError(f"irregularities lack the column {column}, needed are p_m and {[*CHANNELS.values()]}")
     if not frame.columns.is_unique:
         raise InputError(f"irregularities have the column {frame.columns[frame.columns.duplicated()][0]!r} twice")
     p = coordinates("irregularities", frame["p_m"])
-    for column, (low, high) in _RANGES.items():
-        values = pd.to_numeric(frame[column], errors="coerce").astype(float)
-        inside = values.between(low, high).to_numpy()
-        if not inside.all():
-            row = int(np.argmin(inside))
-            found = f"{column} = {values.iloc[row]:g} at p = {p[row]:g} m"
-            raise InputError(f"irregularities: {found}, {low:g} to {high:g} is allowed (unit?)")
+    numbers = frame[[*_RANGES]].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
+    require_within("irregularities", p, dict(zip(_RANGES, numbers.T, strict=True)), _RANGES)
+
+
+def require_within(what: str, p: np.ndarray, columns: dict[str, np.ndarray], ranges: dict[str, tuple]) -> None:
+    """Raise InputError, which names the caller `what`, unless the columns in `ranges` (name -> least, largest value)
+    are within their ranges at all track coordinates p (m)."""
+    for name, (low, high) in ranges.items():
+        for row in np.flatnonzero(~((columns[name] >= low) & (columns[name] <= high)))[:1]:
+            found = f"{name} at p = {p[row]} m is {columns[name][row]}"
+            raise InputError(f"{what}: {found}, a number from {low:g} to {high:g} is needed (unit?)")
 
 
 def coordinates(what: str, p: Any, longest: float = math.inf) -> np.ndarray:
-    """Track coordinates as an array, shape (n,). InputError, which begins with `what`, unless they are two or more and
-    increase by steps up to `longest` (m)."""
+    """Convert track coordinates to an array, shape (n,). InputError, which names the caller `what`, unless these are at
+    least two finite numbers that increase by steps of at most `longest` (m)."""
     try:
         found = np.asarray(p, dtype=float)
     except (TypeError, ValueError):
@@ -191,6 +169,6 @@ def coordinates(what: str, p: Any, longest: float = math.inf) -> np.ndarray:
 
 
 def smooth_step(r: np.ndarray) -> np.ndarray:
-    """Smooth step (-) from 0 (r <= 0) to 1 (r >= 1), in the shape of r; two derivatives are 0 at both ends."""
+    """Smooth step (-) from 0 at r = 0 to 1 at r = 1, constant outside; two derivatives vanish at both ends."""
     r = np.clip(r, 0, 1)
     return r**3 * (10 - 15 * r + 6 * r**2)

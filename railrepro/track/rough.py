@@ -1,6 +1,5 @@
-"""Rough rails: random irregularities with localised defects. All of them are frames of irregularities, see
-`railrepro.track.irregularity`, at the same track coordinates, so they add up. Serves the paper's outlook (known lateral
-track irregularities)."""
+"""Random irregularities with local defects. Both are frames of irregularities, see `railrepro.track.irregularity`.
+Serves the paper's outlook (known lateral track irregularities)."""
 
 from __future__ import annotations
 
@@ -12,7 +11,7 @@ from pydantic import Field
 
 from railrepro import data
 from railrepro.data import InputError, Number, above, between
-from railrepro.track.irregularity import CHANNELS, HALF_BASE, LARGEST, SEED, irregularities, smooth_step
+from railrepro.track.irregularity import HALF_BASE, LARGEST, SEED, irregularities, smooth_step
 
 _START = Annotated[Number, between(-1e6, 1e6, "m")]
 _LENGTH = Annotated[Number, above(0.0, 1e6, "m")]
@@ -21,13 +20,8 @@ _HEIGHT = Annotated[Number, between(-LARGEST, LARGEST, "m")]
 
 @data.table
 class Dip:
-    """Vertical dip of one or both rails: depth / 2 (1 - cos(2 pi (p - start) / length)).
-
-    Attributes:
-        start, length (float): Track coordinate at which the dip begins, and its whole length (m).
-        depth (float): Depth in the middle (m), positive downwards; negative is a hump.
-        rail (str): "both", "le" (left) or "ri" (right).
-    """
+    """Vertical dip depth / 2 (1 - cos(2 pi (p - start) / length)) of the rail "le" (left), "ri" (right) or both, with
+    the length `length` from the track coordinate `start` (m). A negative `depth` (m) is a hump."""
 
     start: _START
     length: _LENGTH
@@ -35,41 +29,33 @@ class Dip:
     rail: Literal["both", "le", "ri"] = "both"
     kind: Literal["dip"] = "dip"
 
-    def at(self, p: np.ndarray) -> pd.DataFrame:
-        """DataFrame like that of `irregularities` with this dip alone, at track coordinates p (m), shape (n,)."""
+    def channels(self, p: np.ndarray) -> dict[str, np.ndarray]:
+        """Columns of irregularities that the dip changes, with the change at track coordinates p (m)."""
         shape = _versine(p, self.start, self.length, self.depth)
         left, right = (shape * (self.rail in ("both", side)) for side in ("le", "ri"))
-        return _frame(p, vertical_m=(right + left) / 2, crosslevel_rad=(right - left) / (2 * HALF_BASE))
+        return {"vertical_m": (right + left) / 2, "crosslevel_rad": (right - left) / (2 * HALF_BASE)}
 
 
 @data.table
 class AlignmentFault:
-    """Lateral excursion of both rails: amplitude / 2 (1 - cos(2 pi (p - start) / length)).
-
-    Attributes:
-        start, length (float): Track coordinate at which the fault begins, and its whole length (m).
-        amplitude (float): Excursion in the middle from the ideal track (m), positive to the right; no mid-chord offset.
-    """
+    """Lateral excursion amplitude / 2 (1 - cos(2 pi (p - start) / length)) of both rails, with the length `length` from
+    the track coordinate `start` (m). `amplitude` is measured from the ideal track, not from a chord (m, positive to the
+    right)."""
 
     start: _START
     length: _LENGTH
     amplitude: _HEIGHT
     kind: Literal["alignment_fault"] = "alignment_fault"
 
-    def at(self, p: np.ndarray) -> pd.DataFrame:
-        """DataFrame like that of `irregularities` with this fault alone, at track coordinates p (m), shape (n,)."""
-        return _frame(p, lateral_m=_versine(p, self.start, self.length, self.amplitude))
+    def channels(self, p: np.ndarray) -> dict[str, np.ndarray]:
+        """As `Dip.channels`."""
+        return {"lateral_m": _versine(p, self.start, self.length, self.amplitude)}
 
 
 @data.table
 class LateralOffset:
-    """Stretch on which both rails are shifted sideways by a constant offset, as at a switch.
-
-    Attributes:
-        start, length (float): Track coordinate at which it begins, and its whole length with both transitions (m).
-        offset (float): Offset between the transitions (m), positive to the right.
-        transition (float): Length of each transition, a `smooth_step` (m).
-    """
+    """Constant lateral `offset` of both rails (m, positive to the right), as at a switch, with the length `length` from
+    the track coordinate `start` (m). This includes a smooth transition of the length `transition` (m) at each end."""
 
     start: _START
     length: _LENGTH
@@ -81,24 +67,20 @@ class LateralOffset:
         if self.length < 2 * self.transition:
             raise ValueError(f"is {self.length:g} m long, at least two transitions of {self.transition:g} m are needed")
 
-    def at(self, p: np.ndarray) -> pd.DataFrame:
-        """DataFrame like that of `irregularities` with this offset alone, at track coordinates p (m), shape (n,)."""
-        there, back = p - self.start, self.start + self.length - p
-        return _frame(p, lateral_m=self.offset * smooth_step(np.minimum(there, back) / self.transition))
+    def channels(self, p: np.ndarray) -> dict[str, np.ndarray]:
+        """As `Dip.channels`."""
+        to_nearest_end = np.minimum(p - self.start, self.start + self.length - p)
+        return {"lateral_m": self.offset * smooth_step(to_nearest_end / self.transition)}
 
 
 def _versine(p: np.ndarray, start: float, length: float, height: float) -> np.ndarray:
+    """Wave height / 2 (1 - cos(2 pi (p - start) / length)) from `start` over `length`, 0 outside."""
     return height / 2 * (1 - np.cos(2 * np.pi * np.clip((p - start) / length, 0, 1)))
-
-
-def _frame(p: np.ndarray, **channels: np.ndarray) -> pd.DataFrame:
-    return pd.DataFrame({"p_m": p} | dict.fromkeys(CHANNELS.values(), 0.0) | channels)
 
 
 @data.table
 class Rough:
-    """Arguments of `rough_track`: `spectrum` and `seed` as in `irregularities`, and `defects`, a tuple of `Dip`,
-    `AlignmentFault` and `LateralOffset` to add."""
+    """Arguments of `rough_track`: defects to add, and `spectrum` and `seed` for `irregularities`."""
 
     defects: tuple[Annotated[Dip | AlignmentFault | LateralOffset, Field(discriminator="kind")], ...] = ()
     spectrum: str = "erri_low"
@@ -106,12 +88,10 @@ class Rough:
 
 
 def rough_track(p: np.ndarray, **arguments) -> pd.DataFrame:
-    """Random irregularities with local defects at track coordinates p (m), shape (n,): a frame like `irregularities`.
-
-    `arguments` are fields of `Rough`. `defects` is a list of dicts, such as {"kind": "dip", "start": 300.0, "length":
-    8.0, "depth": 3e-3}. InputError unless p covers every defect, with at least four steps in each dip, fault and
-    transition.
-    """
+    """Make random irregularities with local defects at track coordinates p (m), shape (n,): a frame like
+    `irregularities`. `arguments` are fields of `Rough`. `defects` is a list of dicts, such as {"kind": "dip", "start":
+    300.0, "length": 8.0, "depth": 3e-3}. InputError unless p covers every defect, with at least four steps in each dip,
+    fault and transition."""
     rough = data.build(Rough, arguments, "irregular")
     total = irregularities(p, rough.spectrum, rough.seed)
     p = total["p_m"].to_numpy()
@@ -120,5 +100,6 @@ def rough_track(p: np.ndarray, **arguments) -> pd.DataFrame:
         if not p[0] <= defect.start < end <= p[-1] or getattr(defect, "transition", defect.length) < least:
             needed = f"a stretch within {p[0]:g} to {p[-1]:g} m with parts of at least {least:g} m is needed"
             raise InputError(f"{defect.kind}: {defect.start:g} to {end:g} m, {needed}")
-        total = total + defect.at(p).assign(p_m=0.0)
+        for column, change in defect.channels(p).items():
+            total[column] += change
     return total

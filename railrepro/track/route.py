@@ -1,10 +1,9 @@
-"""Everything laid along the way: track geometry, irregularities, lateral set point, adhesion and force demand.
+"""Routes: track geometry, irregularities, lateral set point, adhesion and force demand along a track.
 
-A route is a table of cells of uniform length. A cell holds values and derivatives at its start, so that the compiled
-simulation needs one row per body and a Taylor expansion inside the cell, which is exact for straight, clothoid and arc.
-Set point and irregularities are cubics, of which the irregularities continue with value and slope into the next cell:
-a kink would ring the contact springs. Controllers read the same cells, so plant and preview agree about the track ahead
-(paper eq. (3), theta and y*).
+A route is a table of cells of uniform length. A cell holds values and derivatives at its start. Inside the cell, the
+geometry is a Taylor expansion, which is exact for straight, clothoid and arc; set point and irregularities are cubics.
+Irregularities have no kinks between cells, which would excite the contact springs. Plant and controllers read the same
+cells (paper eq. (3), theta and y*).
 """
 
 from __future__ import annotations
@@ -22,46 +21,39 @@ from scipy.interpolate import CubicSpline
 
 from railrepro.data import InputError, above, require
 from railrepro.quantities import Scalar
-from railrepro.track.irregularity import CHANNELS, LARGEST, check, coordinates
+from railrepro.track.irregularity import CHANNELS, LARGEST, check, coordinates, require_within
 from railrepro.track.table import Track, track_in
 
-CELL = 0.5
-"""Length of a cell (m)."""
-BEFORE, AFTER = 60.0, 400.0
-"""Straight on beyond both ends of the track for trailing gears and previews (m)."""
+CELL = 0.5  # length of a cell (m)
+BEFORE, AFTER = 60.0, 400.0  # length of a route before and behind its track, for the rear gear and previews (m)
 
 
 def _orders(name: str) -> tuple[str, ...]:
-    """Columns of a cubic: its value and first three derivatives over p at the start of a cell."""
+    """Columns of a cubic: its value and first three derivatives over p at the start of the cell."""
     return tuple("d" * order + name for order in range(4))
 
 
+_TRACK = ("p", "psi", "kappa", "dkappa", "phi", "dphi", "eps", "deps", "x", "y", "z")
+_IRREGULAR = tuple(column for channel in CHANNELS for column in _orders(channel))
 _SET_POINT = _orders("y_ref")
-COLUMNS = (
-    *("p", "psi", "kappa", "dkappa", "phi", "dphi", "eps", "deps", "x", "y", "z"),
-    *(column for channel in CHANNELS for column in _orders(channel)),
-    *_SET_POINT,
-    *("poor_le", "poor_ri", "force"),
-)
+COLUMNS = (*_TRACK, *_IRREGULAR, *_SET_POINT, "poor_le", "poor_ri", "force")
 INDEX = {name: i for i, name in enumerate(COLUMNS)}
 _RANGES = {"y_ref": (-LARGEST, LARGEST), "poor_le": (0.0, 1.0), "poor_ri": (0.0, 1.0), "force": (-5e5, 5e5)}
-"""What is allowed of set point (m), shares of the poor adhesion set (-) and force (N)."""
+"""Permitted set points (m), shares of the poor adhesion set (-) and forces (N)."""
 Profile = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
 class Route:
     """Track geometry, irregularities, set point, adhesion and force demand in cells of 0.5 m length; made by `lay`.
+    InputError for cells of another type or shape, a value that is not finite, steps of p that are not 0.5 m, and a
+    length that is not positive.
 
     Attributes:
         cells (ndarray of float64, shape (n, len(COLUMNS))): One row per cell: values of `COLUMNS` (SI) at the start of
-            the cell. A name with k letters d in front is the k-th derivative over p. Read-only; compiled code reads it.
-        length (float): Track coordinate at which a run ends (m): `lay` sets the end of the track, `Scenario.route`
+            the cell; k letters d before a name mean the k-th derivative over p. Compiled code reads it; read-only.
+        length (float): Track coordinate at which a run ends (m). `lay` sets the end of the track, `Scenario.route`
             `end_m`.
-
-    Raises:
-        InputError: `cells` has another type or shape, a value is not finite, or p does not increase by 0.5 m; or
-            `length` is no positive number.
     """
 
     cells: np.ndarray
@@ -74,9 +66,8 @@ class Route:
             shape, kind = getattr(cells, "shape", "none"), getattr(cells, "dtype", "none")
             found = f"cells is of the class {type(cells).__name__}, shape {shape}, dtype {kind}"
             raise InputError(f"route: {found}; an ndarray of shape (n, {len(COLUMNS)}), dtype float64 is needed")
-        p, finite = cells[:, INDEX["p"]], np.isfinite(cells)
-        if not finite.all():
-            row, column = np.argwhere(~finite)[0]
+        p = cells[:, INDEX["p"]]
+        for row, column in np.argwhere(~np.isfinite(cells))[:1]:
             found = f"{COLUMNS[column]} at p = {p[row]} m is {cells[row, column]}"
             raise InputError(f"route: {found}, a finite number is needed")
         for row in np.flatnonzero(np.abs(p - p[0] - CELL * np.arange(p.size)) > 1e-6)[:1]:
@@ -92,12 +83,13 @@ class Route:
         return float(self.cells[0, INDEX["p"]])
 
     def rows_at(self, p: np.ndarray) -> np.ndarray:
-        """Row of `cells` for each of the track coordinates p (m, shape (n,)), shape (n, len(COLUMNS)). Beyond the ends
-        of the route it is the first or the last row."""
+        """Rows of `cells` at track coordinates p (m, shape (n,)), shape (n, len(COLUMNS)). Beyond the ends of the route
+        the first or the last row is used."""
         index = np.clip((np.asarray(p, dtype=float) - self.start) / CELL, 0, len(self.cells) - 1)
         return self.cells[index.astype(int)]
 
     def _named(self, p: np.ndarray) -> dict[str, np.ndarray]:
+        """Rows at p as a dict: name in `COLUMNS` -> values."""
         return dict(zip(COLUMNS, self.rows_at(np.atleast_1d(p)).T, strict=True))
 
     def track_at(self, p: np.ndarray) -> np.ndarray:
@@ -112,21 +104,20 @@ class Route:
 
 
 def reference_in(cell: dict, p) -> tuple:
-    """Tuple of lateral set point y* (m), dy*/dp (-) and d2y*/dp2 (1/m) at the track coordinate p (m) inside a cell.
-    `cell` is a row of `Route.cells` as a dict: name in `COLUMNS` -> value. `p` and the values are numbers, arrays or
-    CasADi symbols. Source: eq. (34)."""
+    """Lateral set point y* (m), dy*/dp (-) and d2y*/dp2 (1/m) at the track coordinate p (m) inside a cell. `cell` is a
+    row of `Route.cells` as a dict: name in `COLUMNS` -> value. `p` and the values are numbers, arrays or CasADi
+    symbols. Source: eq. (34)."""
     return _cubic([cell[name] for name in _SET_POINT], p - cell["p"])
 
 
 def irregularity_in(cell: dict, channel: str, p) -> tuple:
-    """Irregularity at the track coordinate p (m) inside a cell, as a pair: value (m; rad for "crosslevel") and its
-    slope over p (-; rad/m). `channel` is "lateral", "vertical", "crosslevel" or "gauge". `p` and `cell` are as in
-    `reference_in`."""
+    """Value (m; rad for "crosslevel") of an irregularity and its slope over p (-; rad/m) at p (m) inside a cell.
+    `channel` is "lateral", "vertical", "crosslevel" or "gauge"; `p` and `cell` are as in `reference_in`."""
     return _cubic([cell[name] for name in _orders(channel)], p - cell["p"])[:2]
 
 
 def _cubic(terms, d) -> tuple:
-    """Value, slope and second derivative at a distance d from where a cubic has the value and derivatives `terms`."""
+    """Value, slope and second derivative of a cubic at a distance d from where it has the derivatives `terms`."""
     y, y1, y2, y3 = terms
     return y + d * (y1 + d * (y2 / 2 + d * y3 / 6)), y1 + d * (y2 + d * y3 / 2), y2 + d * y3
 
@@ -139,58 +130,47 @@ def lay(
     irregularities: pd.DataFrame | None = None,
     line: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Route:
-    """Make a `Route` along a track with set point, adhesion, force and irregularities. InputError for an argument of
-    another form, and for a number that is not finite or out of range.
+    """Make a `Route` along a track. InputError for an argument of another form, and for a number that is not finite or
+    out of range. Without an optional argument its quantity is 0 everywhere.
 
     Args:
         track (Track): Geometry of the track.
-        reference (casadi.Function, optional): Lateral set point p (m) -> y* (m), see the function `reference`; default
-            0. Up to 0.1 m, `line` included.
+        reference (casadi.Function, optional): Lateral set point p (m) -> y* (m), such as from the function `reference`;
+            with `line` up to 0.1 m.
         poor (pair of callables, optional): For the left and the right rail, p (m), shape (n,) -> share of the poor
-            adhesion set, 0 to 1, shape (n,) or one number; default 0.
+            adhesion set, 0 to 1, shape (n,) or one number.
         force (callable, optional): p (m), shape (n,) -> demanded longitudinal force per running gear (N), traction
-            positive, up to 500 kN, shape (n,) or one number; default 0.
-        irregularities (DataFrame, optional): Columns p_m, lateral_m, vertical_m, crosslevel_rad, gauge_m, increasing in
-            p_m. A cubic spline joins the rows; outside of them the irregularities are 0.
-        line (pair of ndarray, optional): Planned set point, which is added to `reference`: track coordinates (m), shape
-            (m,), increasing; the set point (m) there and its first three derivatives over p, shape (4, m). It is a
-            cubic from one coordinate to the next, 0 outside. See `railrepro.studies.preview.plan`.
+            positive, up to 500 kN, shape (n,) or one number.
+        irregularities (DataFrame, optional): Columns p_m (increasing), lateral_m, vertical_m, crosslevel_rad, gauge_m.
+            A cubic spline joins the rows; outside of them the irregularities are 0.
+        line (pair of ndarray, optional): Planned set point from `railrepro.studies.preview.plan`, added to `reference`:
+            track coordinates (m), shape (m,), increasing; the set point (m) there and its first three derivatives over
+            p, shape (4, m). It is cubic between the coordinates and 0 outside.
     """
     require("track", track, Track)
-    columns = dict(_geometry(track))
-    p = columns["p"]
-    cells = np.zeros((p.size, len(COLUMNS)))
+    p = _geometry(track)["p"]
+    columns = dict.fromkeys(COLUMNS, np.zeros(p.size)) | _geometry(track)
     if irregularities is not None:
         columns |= _offsets(irregularities, p)
     if reference is not None:
         require("route: reference", reference, ca.Function)
         columns |= dict(zip(_SET_POINT, _derivatives(reference, track), strict=True))
     if line is not None:
-        columns |= {name: columns.get(name, 0.0) + v for name, v in zip(_SET_POINT, _sampled(line, p), strict=True)}
+        columns |= {name: columns[name] + values for name, values in zip(_SET_POINT, _sampled(line, p), strict=True)}
     if not (poor is None or (isinstance(poor, tuple | list) and len(poor) == 2)):
         raise InputError(f"route: poor is {reprlib.repr(poor)}, a pair of functions, left and right, is needed")
     for name, profile in zip(("poor_le", "poor_ri", "force"), (*(poor or (None, None)), force), strict=True):
-        if profile is not None:
-            columns[name] = _profile(name, profile, p)
-    for name, value in columns.items():
-        cells[:, INDEX[name]] = value
-    for name, (low, high) in _RANGES.items():
-        values = cells[:, INDEX[name]]
-        for row in np.flatnonzero(~((values >= low) & (values <= high)))[:1]:
-            needed = f"a number from {low:g} to {high:g} is needed (unit?)"
-            raise InputError(f"route: {name} at p = {p[row]} m is {values[row]}, {needed}")
-    return Route(cells, track.length)
-
-
-def _profile(name: str, profile: Profile, p: np.ndarray) -> np.ndarray:
-    """Values of a profile at p, shape (n,) or ()."""
-    if not callable(profile):
-        raise InputError(f"route: {name} is {reprlib.repr(profile)}, a function of p (m) is needed")
-    return _array(name, profile(p.copy()), p.shape, ())
+        if profile is None:
+            continue
+        if not callable(profile):
+            raise InputError(f"route: {name} is {reprlib.repr(profile)}, a function of p (m) is needed")
+        columns[name] = np.broadcast_to(_array(name, profile(p.copy()), p.shape, ()), p.shape)
+    require_within("route", p, columns, _RANGES)
+    return Route(np.column_stack([*columns.values()]), track.length)
 
 
 def _array(name: str, found: Any, *shapes: tuple) -> np.ndarray:
-    """`found` as an array of numbers that has one of some shapes; InputError otherwise."""
+    """Convert `found` to an array of numbers. InputError unless it has one of the shapes."""
     try:
         values = np.asarray(found, dtype=float)
     except (TypeError, ValueError):
@@ -202,7 +182,7 @@ def _array(name: str, found: Any, *shapes: tuple) -> np.ndarray:
 
 @lru_cache
 def _geometry(track: Track) -> dict[str, np.ndarray]:
-    """Columns of the track at its cells."""
+    """Columns `_TRACK` of the cells of a track."""
     p = np.arange(-BEFORE, track.length + AFTER, CELL)
     psi, kappa, phi, _, eps, _ = track.interpolate(np.append(p, p[-1] + CELL))
     start, slope = _curvature(kappa, np.diff(psi) / CELL)
@@ -212,21 +192,20 @@ def _geometry(track: Track) -> dict[str, np.ndarray]:
 
 
 def _curvature(ends: np.ndarray, mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Curvature at the start of n cells (1/m) and its slope (1/m2) from the curvature at their ends, shape (n + 1,).
-
-    Linear between the ends, unless the curvature has a step or kink inside the cell: then the slope is less, so that
-    the cell has its true mean curvature `mean` (1/m), shape (n,), and heading goes on without a jump.
-    """
+    """Curvature at the start of n cells (1/m) and its slope (1/m2). `ends` is the curvature at the ends of the cells
+    (1/m), shape (n + 1,), and `mean` its mean in each cell, shape (n,). A cell with a step or kink of curvature inside
+    gets a smaller slope than that between its ends, such that its mean curvature is `mean`. So the heading has no jump
+    at the next cell."""
     rise, low, high = np.diff(ends), np.minimum(ends[:-1], ends[1:]), np.maximum(ends[:-1], ends[1:])
     bent = np.abs(mean - (ends[:-1] + ends[1:]) / 2) > 1e-9
-    room = np.clip(np.minimum(mean - low, high - mean), 0, None)
-    rise = np.where(bent, np.sign(rise) * np.minimum(np.abs(rise), 2 * room), rise)
+    margin = np.clip(np.minimum(mean - low, high - mean), 0, None)
+    rise = np.where(bent, np.sign(rise) * np.minimum(np.abs(rise), 2 * margin), rise)
     return np.where(bent, mean - rise / 2, ends[:-1]), rise / CELL
 
 
 def _offsets(irregularities: pd.DataFrame, p: np.ndarray) -> dict[str, np.ndarray]:
-    """Columns of the irregularities at p: cubics through the values and slopes of a spline at the ends of each cell.
-    Source: de Boor, A Practical Guide to Splines, ch. IV (cubic Hermite interpolation)."""
+    """Columns of the irregularities for cells that start at p: cubics with the values and slopes of a spline at both
+    ends. Source: de Boor, A Practical Guide to Splines, ch. IV (cubic Hermite interpolation)."""
     check(irregularities)
     at = irregularities["p_m"].to_numpy()
     spline = CubicSpline(at, irregularities[list(CHANNELS.values())], bc_type="clamped")
@@ -235,15 +214,11 @@ def _offsets(irregularities: pd.DataFrame, p: np.ndarray) -> dict[str, np.ndarra
     value, slope = inside * spline(p), inside * spline(p, 1)
     secant, first, last = np.diff(value, axis=0) / CELL, slope[:-1], slope[1:]
     terms = value[:-1], first, (6 * secant - 4 * first - 2 * last) / CELL, 6 * (first + last - 2 * secant) / CELL**2
-    return {
-        name: column
-        for channel, columns in zip(CHANNELS, np.moveaxis(np.array(terms), 2, 0), strict=True)
-        for name, column in zip(_orders(channel), columns, strict=True)
-    }
+    return dict(zip(_IRREGULAR, np.moveaxis(np.array(terms), 2, 0).reshape(len(_IRREGULAR), -1), strict=True))
 
 
 def _sampled(line: tuple[np.ndarray, np.ndarray], p: np.ndarray) -> np.ndarray:
-    """Set point and its derivatives at p from those of a planned line, shape (4, n)."""
+    """Set point of a planned line and its first three derivatives at p, shape (4, n)."""
     if not (isinstance(line, tuple | list) and len(line) == 2):
         raise InputError(f"route: line is {reprlib.repr(line)}, a pair (p, set point) is needed")
     at = coordinates("line", line[0])
@@ -255,28 +230,23 @@ def _sampled(line: tuple[np.ndarray, np.ndarray], p: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=32)
 def _derivatives(reference: ca.Function, track: Track) -> np.ndarray:
-    """Set point and its first three derivatives with respect to p at the cells of a track, shape (4, n)."""
+    """Set point and its first three derivatives over p at the cells of a track, shape (4, n)."""
     one = (reference.n_in(), reference.n_out(), reference.numel_in(), reference.numel_out())
     if one != (1, 1, 1, 1):
         raise InputError(f"route: reference is {reference}, a function of one number p (m) to one number (m) is needed")
-    p, s = _geometry(track)["p"], ca.SX.sym("p")
-    return np.array(ca.Function("reference", [s], [_differentiated(reference(s), s)])(p[None, :]))
-
-
-def _differentiated(term: ca.SX, s: ca.SX) -> ca.SX:
-    """A term and its first three derivatives with respect to s, shape (4, 1)."""
-    terms = [term]
+    s = ca.SX.sym("p")
+    terms = [reference(s)]
     for _ in range(3):
         terms.append(ca.jacobian(terms[-1], s))
-    return ca.vertcat(*terms)
+    return np.array(ca.Function("reference", [s], [ca.vertcat(*terms)])(_geometry(track)["p"][None, :]))
 
 
 @dataclass(frozen=True)
 class SetPoint:
-    """Lateral set point y* by numbers (lengths in m). `kind` is 0 none, 1 a sine with the wavelength `period_start`, 2
-    a sweep from `period_start` to `period_end` with a wavenumber linear in p. Outside `start` to `end` (track
-    coordinates) y* is 0. The amplitude rises over the length `fade` after `start` and falls over it before `end`.
-    Source: paper, caption of Fig. 7 (sine of 150 m), Figs. 6 and 9 (sweep, parameters not printed)."""
+    """Parameters of a lateral set point y*. `kind` is 0 for none, 1 for a sine of wavelength `period_start`, 2 for a
+    sweep from `period_start` to `period_end` with a wavenumber linear in p. y* is 0 outside of the track coordinates
+    `start` to `end`. The amplitude rises over the length `fade` after `start` and falls over it before `end`. Source:
+    caption of Fig. 7 (sine of 150 m), Figs. 6 and 9 (sweep, parameters not printed)."""
 
     kind: Annotated[Scalar, "-"]
     amplitude: Annotated[Scalar, "m"]
@@ -289,8 +259,7 @@ class SetPoint:
 
 @lru_cache
 def reference(of: SetPoint) -> ca.Function:
-    """Sine or sweep of a `SetPoint` as a CasADi function from track coordinate p (m) to y* (m). InputError for another
-    kind."""
+    """Make the CasADi function p (m) -> y* (m) of a sine or sweep. InputError for another kind."""
     if of.kind not in (1, 2):
         raise InputError(f"set point: kind is {of.kind!r}, 1 (sine) or 2 (sweep) is needed")
     s = ca.SX.sym("p")
@@ -304,6 +273,6 @@ def reference(of: SetPoint) -> ca.Function:
 
 
 def _fade(s: ca.SX, length: Any) -> ca.SX:
-    """Smooth step 0 -> 1 over `length` (m) with three vanishing derivatives at both ends."""
+    """Smooth step from 0 to 1 over `length` (m); three derivatives vanish at both ends."""
     r = ca.fmin(ca.fmax(s / length, 0), 1)
     return r**4 * (35 + r * (-84 + r * (70 - 20 * r)))

@@ -1,6 +1,5 @@
-"""Tables made from track alignments, and the track that interpolates in them. Yaw psi is positive to the right, roll
-phi positive right side down, pitch eps positive nose up. Serves the paper's section Train-Track Interaction (eqs.
-track)."""
+"""Tables of tracks, made from alignments or read from CSV, and the track that interpolates in them. Yaw psi is positive
+to the right, roll phi right side down, pitch eps nose up. Serves the paper's section Train-Track Interaction."""
 
 from __future__ import annotations
 
@@ -19,20 +18,15 @@ from railrepro import data, paths
 from railrepro.data import InputError
 from railrepro.track.alignment import CANT_BASE, LONGEST, MAX_CANT, Alignment, Segment, alignments
 
-STEP = 0.5
-"""Step of generated tables (m)."""
-SHORTEST = 20.0
-"""Shortest track (m): a car is as long."""
+STEP = 0.5  # step of generated tables (m)
+SHORTEST = 20.0  # shortest track, the length of a car (m)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 
 
 def build_table(alignment: Alignment, step: float = STEP, heading: float = 0.0) -> pd.DataFrame:
-    """Tabulate an alignment with a row every `step` (m) from p = 0 on, and one at each end of a segment. InputError if
-    it is shorter than `SHORTEST`.
-
-    The columns are p_m, psi_rad, dpsi_dp_1pm, phi_rad, dphi_dp_1pm, eps_rad, deps_dp_1pm, x_m, y_m, z_m. The track
-    begins at the origin with the yaw angle `heading` (rad). Coordinates are rounded to micrometres.
-    """
+    """Tabulate an alignment with a row every `step` (m) and at each end of a segment. InputError if it is shorter than
+    `SHORTEST`. The columns are p_m, psi_rad, dpsi_dp_1pm, phi_rad, dphi_dp_1pm, eps_rad, deps_dp_1pm, x_m, y_m, z_m.
+    The track begins at p = 0 in the origin with the yaw angle `heading` (rad). p_m is rounded to micrometres."""
     if not alignment.length >= SHORTEST:
         needed = f"at least {SHORTEST:g} m are needed (unit?)"
         raise InputError(f"track {alignment.name}: is {alignment.length:g} m long, {needed}")
@@ -58,15 +52,9 @@ def build_table(alignment: Alignment, step: float = STEP, heading: float = 0.0) 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Tabulated track that is interpolated exactly on straights, clothoids, arcs and linear cant ramps.
-
+    """Track that interpolates in a table from `build_table`, exactly on straights, clothoids, arcs and cant ramps.
     Before the first row the track is straight. After the last row it keeps curvature, cant and inclination of that row.
-
-    Attributes:
-        name (str): Name of the track.
-        table (DataFrame): Table as from `build_table`.
-        design_speed (float or None): Design speed (m/s); None if unknown.
-    """
+    `design_speed` is in m/s, None if unknown."""
 
     name: str
     table: pd.DataFrame
@@ -79,13 +67,13 @@ class Track:
 
     @property
     def chainage(self) -> float:
-        """Distance along the line (m) at the track coordinate 0, as the file of the track counts it; 0 without a file.
-        `track.chainage + run.series["front.p"]` is the chainage of a run."""
+        """Value of p_m in the first row of the CSV (m); 0 without CSV. The chainage of a run is `track.chainage +
+        run.series["front.p"]`."""
         return self.table.attrs.get(_CHAINAGE, 0.0)
 
     @cached_property
     def _rows(self) -> dict[str, np.ndarray]:
-        """Values and slopes of the cell that begins at each row."""
+        """Columns of the table, and slopes of curvature and angles from each row to the next."""
         columns = {"p": "p_m", "psi": "psi_rad", "kappa": "dpsi_dp_1pm", "phi": "phi_rad", "eps": "eps_rad"}
         rows = {name: self.table[column].to_numpy() for name, column in columns.items()}
         for name in ("kappa", "phi", "eps"):
@@ -93,16 +81,13 @@ class Track:
         return rows
 
     def _index(self, p: np.ndarray) -> np.ndarray:
-        """Rows at which the cells of positions p begin."""
+        """Index of the last row at or before each p; 0 where there is none."""
         return np.clip(np.searchsorted(self._rows["p"], p, side="right") - 1, 0, len(self.table) - 1)
 
     def interpolate(self, p) -> np.ndarray:
-        """Track angles and their derivatives at track coordinates p (m, shape (n,)), shape (6, n).
-
-        The rows are psi (yaw, rad), dpsi_dp (rad/m), phi (roll, rad), dphi_dp (rad/m), eps (pitch, rad), deps_dp
-        (rad/m). At the start or end of a cant ramp, dphi_dp is the slope behind that point. Source: eq. (3), without
-        the factor dp/dt.
-        """
+        """Track angles and their derivatives at track coordinates p (m, shape (n,)), shape (6, n). The rows are psi
+        (yaw, rad), dpsi_dp (rad/m), phi (roll, rad), dphi_dp (rad/m), eps (pitch, rad), deps_dp (rad/m). Where dphi_dp
+        or deps_dp jumps, the value is that behind the point. Source: eq. (3), without dp/dt."""
         p, first = np.atleast_1d(np.asarray(p, dtype=float)), self._rows["p"][0]
         index = self._index(p)
         row = {name: values[index] for name, values in self._rows.items()}
@@ -111,11 +96,8 @@ class Track:
         return np.array(track_in(row, p))
 
     def travel(self, start: np.ndarray, length: np.ndarray) -> np.ndarray:
-        """Displacement along n stretches of the track (m), shape (3, n), in fixed axes x, y (right), z (down).
-
-        Stretch i begins at `start` (m, shape (n,)) and has the signed `length` (m, shape (n,)). It has to lie within
-        one row of the table.
-        """
+        """Displacement along n stretches of the track (m), shape (3, n), in fixed axes x, y (right), z (down). Each has
+        a `start` and a signed `length` (m, both of shape (n,)); none may cross a row of the table."""
         total = np.zeros((3, len(start)))
         for node, weight in zip(_NODES, _WEIGHTS, strict=True):
             psi, _, _, _, eps, _ = self.interpolate(start + length * (1 + node) / 2)
@@ -129,21 +111,17 @@ class Track:
         begin = self._rows["p"][index]
         d, reached = p - begin, self.table[["x_m", "y_m", "z_m"]].to_numpy()[index].T
         longest = 5.0  # stretch of one quadrature (m)
-        for k in range(int(np.ceil(np.abs(d).max() / longest)) or 1):
-            piece = np.clip(np.abs(d) - k * longest, 0, longest) * np.sign(d)
-            moving = piece != 0
-            start = begin + k * longest * np.sign(d)
-            reached[:, moving] += self.travel(start[moving], piece[moving])
+        for done in np.arange(0.0, np.abs(d).max(), longest):
+            going = np.abs(d) > done
+            start, piece = begin + done * np.sign(d), np.clip(np.abs(d) - done, 0, longest) * np.sign(d)
+            reached[:, going] += self.travel(start[going], piece[going])
         return reached
 
 
 def track_in(cell: dict, p) -> tuple:
-    """Track angles and their derivatives at a coordinate p (m) inside a cell. Source: eq. (3).
-
-    Returns the tuple psi (yaw), dpsi_dp, phi (roll), dphi_dp, eps (pitch), deps_dp (rad, rad/m). `cell` is a dict of
-    the values at the start of the cell (SI): numbers, arrays or CasADi symbols with the keys p, psi, kappa, dkappa,
-    phi, dphi, eps, deps.
-    """
+    """Track angles and their derivatives psi (yaw), dpsi_dp, phi (roll), dphi_dp, eps (pitch), deps_dp (rad, rad/m) at
+    a coordinate p (m) inside a cell. `cell` maps p, psi, kappa, dkappa, phi, dphi, eps and deps to their values at the
+    start of the cell (SI): numbers, arrays or CasADi symbols. Source: eq. (3)."""
     d = p - cell["p"]
     psi = cell["psi"] + (cell["kappa"] + cell["dkappa"] * d / 2) * d
     roll = cell["phi"] + cell["dphi"] * d, cell["dphi"]
@@ -151,10 +129,8 @@ def track_in(cell: dict, p) -> tuple:
 
 
 def load_track(name: Path | str) -> Track:
-    """`Track` of a name in data/tracks.toml. A name that ends in .csv is the path of a file for `read_table`.
-
-    InputError for an unknown name. Warns where the cant lowers the outer rail of a curve by 15 mm or more.
-    """
+    """Load a track by its name in data/tracks.toml, or from a file for `read_table` by a path that ends in .csv.
+    InputError for an unknown name. Warns if the cant lowers the outer rail of a curve by more than 15 mm."""
     if str(name).endswith(".csv"):
         track = Track(Path(name).stem, read_table(name))
     else:
@@ -162,14 +138,15 @@ def load_track(name: Path | str) -> Track:
     p, kappa, phi = (track._rows[name] for name in ("p", "kappa", "phi"))
     lowered = (np.abs(kappa) > 1e-4) & (-np.sign(kappa) * phi > 0.01)
     if lowered.any():
-        found = f"the cant lowers the outer rail at p = {p[np.argmax(lowered)]:g} m"
         needed = "in a right-hand curve curvature and cant are both positive, in a left-hand curve negative"
-        warnings.warn(f"track {track.name}: {found}; {needed}", stacklevel=2)
+        found = f"track {track.name}: the cant lowers the outer rail at p = {p[np.argmax(lowered)]:g} m"
+        warnings.warn(f"{found}; {needed}", stacklevel=2)
     return track
 
 
 @lru_cache
 def _built(name: str, _changed: int) -> Track:
+    """Track of data/tracks.toml. The time of the file's last change is an argument so that the cache notices it."""
     known = alignments()
     if name not in known:
         raise InputError(f"track {name!r} is not in tracks.toml ({sorted(known)}) and is not a CSV file")
@@ -177,11 +154,11 @@ def _built(name: str, _changed: int) -> Track:
 
 
 def write_table(table: pd.DataFrame, path: Path) -> None:
-    """Write a table of `build_table` as CSV with 17 digits, so that reading gives the same numbers."""
+    """Write a table from `build_table` to a CSV with 17 digits, from which the same numbers are read again."""
     table.to_csv(path, index=False, float_format="%.17g")
 
 
-_ALLOWED = {
+_ALLOWED = {  # columns of a track file: smallest and largest magnitude, unit
     "p_m": (0.0, 1e7, "m"),
     "dpsi_dp_1pm": (0.0, 0.02, "1/m"),
     "radius_m": (50.0, math.inf, "m"),
@@ -192,38 +169,34 @@ _ALLOWED = {
     **dict.fromkeys(("dphi_dp_1pm", "deps_dp_1pm"), (0.0, 1e3, "rad/m")),
     **dict.fromkeys(("x_m", "y_m", "z_m"), (0.0, 1e8, "m")),
 }
-"""Columns of a track file, each with its smallest and largest magnitude and its unit."""
-_INSTEAD = {"dpsi_dp_1pm": "radius_m", "phi_rad": "cant_mm"}
-"""Columns of a table, and those that a file may have in their place."""
-_CHAINAGE = "chainage_m"
-"""Key in `attrs` of a table: distance (m) that its file gives to the coordinate 0."""
-_SPIKE = 5.0
-"""Longest spike (m)."""
+_INSTEAD = {"dpsi_dp_1pm": "radius_m", "phi_rad": "cant_mm"}  # what a file may have in place of a column of a table
+_CHAINAGE = "chainage_m"  # key of `Track.chainage` in the `attrs` of a table
+_SPIKE = 5.0  # longest peak of curvature, cant or inclination that is refused as an error in a file (m)
 
 
 def read_table(path: Path | str) -> pd.DataFrame:
-    """Read a track from a CSV and return a table as of `build_table`, with heading and positions integrated.
+    """Read a track from a CSV into a table like that from `build_table`, with integrated heading and positions.
 
-    The file has one row per point; curvature, cant and inclination change linearly in between, and a step of curvature
-    is two points 1 mm apart. Commas separate the columns. Blank lines and lines that begin with # are left out. Yaw is
-    positive to the right, roll right side down, pitch nose up. Columns:
+    The file has one row per point; curvature, cant and inclination change linearly in between. A step of curvature is
+    two points 1 mm apart. Columns are separated by commas. Blank lines and lines that begin with # are skipped. Signs
+    are those of the module. Columns:
 
-    - p_m: distance along the line (m), increasing, such as the chainage; the first point becomes the coordinate 0, and
-      its value is `Track.chainage`;
+    - p_m: distance along the line, such as the chainage (m), increasing. `Track.chainage` is its first value,
+      at which the track coordinate is 0;
     - dpsi_dp_1pm: curvature (1/m); or radius_m: radius (m), negative in a left-hand curve, inf on a straight;
-    - phi_rad: cant angle (rad); or cant_mm: height of the left rail above the right one (mm) on a base of 1.5 m.
-      Optional, default 0;
-    - eps_rad: inclination (rad), optional, default 0;
-    - psi_rad: heading (rad), optional; its first value is the initial heading, default 0;
-    - x_m, y_m, z_m, dphi_dp_1pm, deps_dp_1pm: optional, compared only.
+    - phi_rad: cant angle (rad); or cant_mm: height of the left rail above the right one (mm) on a base of 1.5 m;
+      default 0;
+    - eps_rad: inclination (rad), default 0;
+    - psi_rad: heading (rad), of which the first value is the initial heading, default 0;
+    - x_m, y_m, z_m, dphi_dp_1pm, deps_dp_1pm: optional.
 
-    What follows from other columns has to agree with them: headings within 0.02 rad; positions, less the first one,
-    within 0.1 m and 2 % of the distance; derivatives within 1e-4 rad/m of the slope before the point, the slope behind
-    it or a value in between.
+    Headings, positions and derivatives in the file are not used, but have to agree with the other columns: headings
+    within 0.02 rad; positions relative to the first one within 0.1 m plus 2 % of the distance; derivatives within 1e-4
+    rad/m of the slope before the point, behind it or between the two.
 
     InputError for a missing, unknown or doubled column, a cell that is no number, points that do not increase, columns
-    that disagree, and what no railway builds (wrong unit): a track shorter than `SHORTEST`, too large a magnitude, a
-    curvature, cant or inclination that rises by half the largest one and falls again within 5 m.
+    that disagree, and values that point to a wrong unit: a track shorter than `SHORTEST`, too large a magnitude, a peak
+    of curvature, cant or inclination of more than half the permitted value within 5 m.
     """
     file = data.location(path)
     text = _cells(file)
@@ -238,7 +211,7 @@ def read_table(path: Path | str) -> pd.DataFrame:
 
 
 def _cells(file: Path) -> pd.DataFrame:
-    """Cells of a track file as text, indexed by the number of their line. InputError for wrong columns."""
+    """Read the cells of a track file as text, indexed by line number. InputError for wrong columns."""
     lines = data.text(file).removeprefix("\ufeff").splitlines()
     used = {n: line for n, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")}
     rows = {n: [cell.strip(' "') for cell in line.split(",")] for n, line in used.items()}
@@ -249,8 +222,8 @@ def _cells(file: Path) -> pd.DataFrame:
         raise InputError(f"{file.name}: has semicolons or tabs, commas between columns and decimal points are needed")
     for column in head:
         if column not in _ALLOWED or head.count(column) > 1:
-            found = "twice" if column in _ALLOWED else "that is not known"
-            raise InputError(f"{file.name}: has a column {column!r} {found}; allowed are {[*_ALLOWED]}, each once")
+            fault = "twice" if column in _ALLOWED else "that is not known"
+            raise InputError(f"{file.name}: has a column {column!r} {fault}; allowed are {[*_ALLOWED]}, each once")
     for forms, least in ((("p_m",), 1), (("dpsi_dp_1pm", "radius_m"), 1), (("phi_rad", "cant_mm"), 0)):
         given = [column for column in forms if column in head]
         if not least <= len(given) <= 1:
@@ -263,7 +236,7 @@ def _cells(file: Path) -> pd.DataFrame:
 
 
 def _refuse(file: str, text: pd.DataFrame, column: str, wrong: np.ndarray, reason: str) -> None:
-    """Raise InputError with the first line at which `column`, or what the file has in its place, is wrong."""
+    """Raise InputError with the first line in which `column`, or the column in its place, is `wrong`; if any is."""
     if wrong.any():
         cells = text[column if column in text else _INSTEAD[column]][wrong]
         name, line = cells.name, cells.index[0]
@@ -271,12 +244,12 @@ def _refuse(file: str, text: pd.DataFrame, column: str, wrong: np.ndarray, reaso
 
 
 def _numbers(text: pd.DataFrame, refuse: Callable) -> dict[str, np.ndarray]:
-    """Columns of a track file as numbers, and curvature, cant angle and inclination where it has others or none."""
+    """Convert the columns of a track file to numbers, and add curvature, cant angle and inclination if they lack."""
     values = dict.fromkeys(("phi_rad", "eps_rad"), np.zeros(len(text)))
     for column in text:
         values[column] = number = pd.to_numeric(text[column], errors="coerce").to_numpy(dtype=float)
         low, high, unit = _ALLOWED[column]
-        bounds = f"up to {high:g}" if math.isfinite(high) else f"of {low:g} up to {high:g}"
+        bounds = f"up to {high:g}" if math.isfinite(high) else f"of at least {low:g}"
         inside = (np.abs(number) >= low) & (np.abs(number) <= high)
         refuse(column, ~inside, f"a number {bounds} {unit} is needed (unit?)")
     p = values["p_m"]
@@ -295,7 +268,7 @@ def _numbers(text: pd.DataFrame, refuse: Callable) -> dict[str, np.ndarray]:
 
 
 def _compare(values: dict[str, np.ndarray], table: pd.DataFrame, refuse: Callable) -> None:
-    """Refuse columns of a track file that do not agree with the table that follows from the others."""
+    """Refuse columns of a track file that disagree with the table made from the others."""
     distance = values["p_m"] - values["p_m"][0]
     rows = table.iloc[np.searchsorted(table["p_m"], distance - 6e-7)]
     for column in ("psi_rad", "x_m", "y_m", "z_m", "dphi_dp_1pm", "deps_dp_1pm"):

@@ -1,5 +1,5 @@
-"""Vehicle data as frozen, validated dataclasses; the numbers live in data/vehicle.toml only. Serves the paper's
-sections Control-Oriented Model and Simulation Environment, which print none of them."""
+"""Parameters of the vehicle as frozen, checked dataclasses; their values are in data/vehicle.toml. Serves the paper's
+sections Control-Oriented Model and Simulation Environment, which print no values."""
 
 from __future__ import annotations
 
@@ -20,11 +20,9 @@ from railrepro.data import InputError
 
 @data.table
 class Entry:
-    """Table of one parameter in a file such as data/vehicle.toml; `symbol` is its name in formulas.
-
-    `confidence`: VV read in the source and reproduced, V read there, D derived, R recalled from the literature, A
-    assumed. `range`: "fixed", or [low, high] in the unit of the value, from which robustness studies sample.
-    """
+    """Entry of one parameter in a file such as data/vehicle.toml; `symbol` is its name in formulas. `confidence` is VV
+    read in the source and reproduced, V read there, D derived, R recalled from the literature, A assumed. `range` is
+    "fixed", or [low, high] in the unit of the value, from which robustness studies sample."""
 
     symbol: str
     value: Any
@@ -36,8 +34,8 @@ class Entry:
 
 @dataclass(frozen=True)
 class Parameter(data.Quantity):
-    """Unit and permitted range of a field whose value stands in a file as an `Entry` with the same unit. A constructor
-    takes the value itself."""
+    """Annotation of a field with its unit and permitted range. A file gives the field as an `Entry` with this unit, a
+    constructor as a value."""
 
     def __get_pydantic_core_schema__(self, source, handler):
         value = super().__get_pydantic_core_schema__(source, handler) if source is float else handler(source)
@@ -45,22 +43,20 @@ class Parameter(data.Quantity):
         def stated(given, entry, info):
             return self._stated(entry(given)) if info.context else given
 
-        return core_schema.chain_schema(
-            [core_schema.with_info_wrap_validator_function(stated, handler.generate_schema(Entry)), value]
-        )
+        content = core_schema.with_info_wrap_validator_function(stated, handler.generate_schema(Entry))
+        return core_schema.chain_schema([content, value])
 
     def _stated(self, entry: Entry):
+        """Check the unit and range of an entry and return its value."""
         if entry.unit != self.unit:
             raise ValueError(f"has the unit {entry.unit!r}, {self.unit!r} is needed")
         if entry.range != "fixed" and not self._around(entry.value, entry.range):
-            raise ValueError(
-                f'= {reprlib.repr(entry.value)} with range {reprlib.repr(entry.range)}, "fixed" or [low, high] around '
-                f"the value is needed, each {self.described()}"
-            )
+            found = f"= {reprlib.repr(entry.value)} with range {reprlib.repr(entry.range)}"
+            raise ValueError(f'{found}, "fixed" or [low, high] around the value is needed, each {self.described()}')
         return entry.value
 
     def _around(self, value, ends) -> bool:
-        """Whether `ends` are two permitted numbers around a value: studies sample up to both."""
+        """Whether `ends` are two permitted numbers around a value."""
         try:
             low, high = ends
             self.check(low)
@@ -70,27 +66,18 @@ class Parameter(data.Quantity):
             return False
 
 
-def _from_zero(high: float, unit: str) -> Parameter:
-    return Parameter(0.0, high, unit, closed=True)
-
-
 Mass = Annotated[float, Parameter(100.0, 1e6, "kg")]
 Inertia = Annotated[float, Parameter(0.0, 1e8, "kg m2")]
-Stiffness = Annotated[float, _from_zero(1e9, "N/m")]
-Damping = Annotated[float, _from_zero(1e8, "N s/m")]
-AngularStiffness = Annotated[float, _from_zero(1e9, "N m/rad")]
-AngularDamping = Annotated[float, _from_zero(1e8, "N m s/rad")]
+Stiffness = Annotated[float, Parameter(0.0, 1e9, "N/m", closed=True)]
+Damping = Annotated[float, Parameter(0.0, 1e8, "N s/m", closed=True)]
+AngularStiffness = Annotated[float, Parameter(0.0, 1e9, "N m/rad", closed=True)]
+AngularDamping = Annotated[float, Parameter(0.0, 1e8, "N m s/rad", closed=True)]
 
 
 @data.table
 class CarBody:
-    """Data of the car body.
-
-    Attributes:
-        mass, inertia_x, inertia_y, inertia_z: Mass (kg); roll, pitch, yaw inertia about the centre of gravity (kg m2).
-        cg_height, floor_height: Height of centre of gravity and of floor above the top of the rails (m).
-        gear_spacing, length: Distance between the two running gears; length of the body (m).
-    """
+    """Car body: mass (kg); roll, pitch, yaw inertia about the centre of gravity (kg m2); heights of centre of gravity
+    and floor above the rails, distance between the running gears, length (m)."""
 
     mass: Mass
     inertia_x: Inertia
@@ -104,48 +91,37 @@ class CarBody:
 
 @data.table
 class Gear:
-    """Data of a running gear: a wheel carrier with two wheels.
-
-    Attributes:
-        mass, inertia_x, inertia_z: Mass (kg), roll and yaw inertia (kg m2), all including the wheels.
-        inertia_y: Pitch inertia (kg m2), including the mass of the wheels but not their `spin_inertia`.
-        contact_base: Lateral distance b of the two contacts (m).
-        axle_damping: Torque between the wheels over the difference of their speeds (N m s/rad); 0: independent wheels.
-    """
+    """Running gear: a wheel carrier with two wheels. Mass (kg), roll and yaw inertia (kg m2) include the wheels; pitch
+    inertia includes their mass, but not their `spin_inertia`. `contact_base` is the lateral distance b of the contacts
+    (m), `axle_damping` the torque between the wheels over the difference of their speeds (N m s/rad), 0 for independent
+    wheels."""
 
     mass: Mass
     inertia_x: Inertia
     inertia_y: Inertia
     inertia_z: Inertia
     contact_base: Annotated[float, Parameter(0.5, 3.0, "m")]
-    axle_damping: Annotated[float, _from_zero(1e8, "N m s/rad")]
+    axle_damping: AngularDamping
 
 
 @data.table
 class Wheel:
-    """Data of one independently rotating wheel with its motor.
-
-    Attributes:
-        radius: Nominal rolling radius r_0 (m).
-        spin_inertia, diametral_inertia: Inertia about the axle, including the rotor, and about a diameter (kg m2).
-        cone_angle: Cone angle delta_0 in the control model (rad); that of the car's wheels only for the profile "cone".
-    """
+    """Independently rotating wheel: nominal rolling radius r_0 (m); inertia about the axle, including the rotor of the
+    motor, and about a diameter (kg m2); cone angle delta_0 of the control model (rad), which the wheels of the car have
+    only with the profile "cone"."""
 
     radius: Annotated[float, Parameter(0.1, 1.0, "m")]
     spin_inertia: Inertia
     diametral_inertia: Inertia
-    cone_angle: Annotated[float, _from_zero(0.2, "rad")]
+    cone_angle: Annotated[float, Parameter(0.0, 0.2, "rad", closed=True)]
 
 
 @data.table
 class Suspension:
-    """Suspension between the car body and one running gear: stiffness (N/m, N m/rad), damping (N s/m, N m s/rad).
-
-    A spring with a damper stands `half_spacing` (m) to each side, `height` (m) above the rails; each has the stiffness
-    k_x and the damping c_x along x, likewise y and z. A traction link acts lengthwise, a torsion bar against roll, rods
-    against pitch under motor torque. Stops act in yaw beyond yaw_stop_angle (rad) and sideways beyond bump_clearance
-    (m).
-    """
+    """Suspension between the car body and one running gear: stiffness (N/m, N m/rad), damping (N s/m, N m s/rad). On
+    each side, a spring with a damper is `half_spacing` (m) off centre and `height` (m) above the rails; it has the
+    stiffness k_x and the damping c_x along x, likewise y and z. A traction link acts lengthwise, a torsion bar against
+    roll, rods against pitch. Stops act in yaw beyond yaw_stop_angle (rad) and sideways beyond bump_clearance (m)."""
 
     half_spacing: Annotated[float, Parameter(0.1, 2.0, "m")]
     height: Annotated[float, Parameter(0.0, 3.0, "m")]
@@ -162,7 +138,7 @@ class Suspension:
     pitch_stiffness: Annotated[float, Parameter(0.0, 1e9, "N m/rad")]
     pitch_damping: AngularDamping
     yaw_stop_angle: Annotated[float, Parameter(0.0, 0.5, "rad")]
-    yaw_stop_stiffness: Annotated[float, _from_zero(1e10, "N m/rad")]
+    yaw_stop_stiffness: Annotated[float, Parameter(0.0, 1e10, "N m/rad", closed=True)]
     bump_clearance: Annotated[float, Parameter(0.0, 1.0, "m")]
     bump_stiffness: Stiffness
 
@@ -189,36 +165,36 @@ class Suspension:
 
 @data.table
 class Drive:
-    """Data of the motor of a wheel: `torque_limit` for both signs (N m); `lag`, time constant of the torque (s)."""
+    """Motor of a wheel: torque limit for both signs (N m) and time constant of the torque (s)."""
 
     torque_limit: Annotated[float, Parameter(0.0, 1e5, "N m")]
     lag: Annotated[float, Parameter(0.0, 1.0, "s")]
 
     def limit(self, wheel_speed):
-        """Torque limit for both signs (N m) at a wheel speed (rad/s): at present `torque_limit` at any speed. The speed
-        is a number, array or SX. Car and controllers ask here, so that a limit that depends on speed is stated once."""
+        """Torque limit for both signs (N m) at a wheel speed (rad/s; number, array or SX): `torque_limit` at any speed.
+        Car and controllers call this method, so a limit that depends on speed needs a change only here."""
         return self.torque_limit
 
 
 @data.table
 class WheelRail:
-    """Data of the wheel-rail contact.
+    """Contact of wheel and rail.
 
     Attributes:
         young, shear_modulus, poisson: Moduli (Pa) and Poisson's ratio (-) of the material.
-        nominal_load: Normal force at which contact ellipses are tabulated (N).
-        normal_stiffness, normal_damping: k (N/m^1.5) and d (s/m) of the normal force k q^1.5 (1 + d dq/dt) at a
+        nominal_load: Normal force for which contact ellipses are tabulated (N).
+        normal_stiffness, normal_damping: k (N/m^1.5) and d (s/m) in the normal force k q^1.5 (1 + d dq/dt) at a
             penetration q.
-        rest_speed: Creepages are sliding speeds over sqrt(v^2 + rest_speed^2), finite also at standstill (m/s).
+        rest_speed: Speed (m/s) in creepage = sliding speed / sqrt(v^2 + rest_speed^2), which is finite at standstill.
         profile: Wheel profile, "cone" or "s1002".
     """
 
     young: Annotated[float, Parameter(1e9, 1e12, "Pa")]
-    poisson: Annotated[float, _from_zero(0.5, "-")]
+    poisson: Annotated[float, Parameter(0.0, 0.5, "-", closed=True)]
     shear_modulus: Annotated[float, Parameter(1e9, 1e12, "Pa")]
     nominal_load: Annotated[float, Parameter(0.0, 1e6, "N")]
     normal_stiffness: Annotated[float, Parameter(0.0, 1e13, "N/m^1.5")]
-    normal_damping: Annotated[float, _from_zero(1e3, "s/m")]
+    normal_damping: Annotated[float, Parameter(0.0, 1e3, "s/m", closed=True)]
     rest_speed: Annotated[float, Parameter(0.0, 1.0, "m/s")]
     profile: Annotated[str, Field(pattern="^(cone|s1002)$"), Parameter(0.0, 0.0, "-")]
 
@@ -229,28 +205,29 @@ class AdhesionSet:
 
     Attributes:
         k_a, k_s: Reduction factors in the areas of adhesion and of slip (-); a k_s above k_a counts as k_a. The creep
-            stiffness at rest is (k_a + k_s)/2 of Kalker's.
-        mu0, a_ratio, b_decay: Friction (-) is mu0 ((1 - a_ratio) exp(-b_decay w) + a_ratio) at a slip speed w (m/s).
+            stiffness at zero creepage is (k_a + k_s)/2 times Kalker's.
+        mu0, a_ratio, b_decay: The friction coefficient is mu0 ((1 - a_ratio) exp(-b_decay w) + a_ratio) at a slip speed
+            w (m/s).
     """
 
     k_a: Annotated[float, Parameter(0.0, 1.0, "-")]
     k_s: Annotated[float, Parameter(0.0, 1.0, "-")]
-    mu0: Annotated[float, _from_zero(1.0, "-")]
-    a_ratio: Annotated[float, _from_zero(1.0, "-")]
-    b_decay: Annotated[float, _from_zero(10.0, "s/m")]
+    mu0: Annotated[float, Parameter(0.0, 1.0, "-", closed=True)]
+    a_ratio: Annotated[float, Parameter(0.0, 1.0, "-", closed=True)]
+    b_decay: Annotated[float, Parameter(0.0, 10.0, "s/m", closed=True)]
 
 
 @data.table
 class Environment:
-    """Data of the surroundings: `gravity`, the gravitational acceleration (m/s2)."""
+    """Surroundings: gravitational acceleration (m/s2)."""
 
     gravity: Annotated[float, Parameter(0.0, 20.0, "m/s2")]
 
 
 @data.table
 class Vehicle:
-    """All data of the car. Both running gears are alike, and so are the wheels and the motors. `adhesion` is a dict of
-    adhesion sets by name; data/vehicle.toml has "dry", "poor", "very_poor" and "wet"."""
+    """All parameters of the car. The running gears are identical, and so are the wheels and the motors. `adhesion` maps
+    names to adhesion sets; data/vehicle.toml has "dry", "poor", "very_poor" and "wet"."""
 
     body: CarBody
     gear: Gear
@@ -265,11 +242,10 @@ class Vehicle:
 
     def __post_init__(self) -> None:
         for name in ("inertia_x", "inertia_z"):
-            whole, wheels = getattr(self.gear, name), 2 * self.wheel.diametral_inertia
-            if whole <= wheels:
-                raise ValueError(
-                    f"gear.{name} = {whole:g} kg m2 contains those of the wheels, more than {wheels:g} kg m2 is needed"
-                )
+            total, wheels = getattr(self.gear, name), 2 * self.wheel.diametral_inertia
+            if total <= wheels:
+                needed = f"more than the {wheels:g} kg m2 of the wheels, which it includes, is needed"
+                raise ValueError(f"gear.{name} = {total:g} kg m2, {needed}")
 
     @property
     def gravity(self) -> float:
@@ -278,11 +254,11 @@ class Vehicle:
 
     @property
     def gamma(self) -> float:
-        """Roll angle of the axle per lateral displacement on cones, Gamma (rad/m). Source: paper, eqs. (10), (11)."""
+        """Roll angle of the axle per lateral displacement on cones, Gamma (rad/m). Source: eqs. (10), (11)."""
         return self.roll_per_shift(math.tan(self.wheel.cone_angle))
 
     def roll_per_shift(self, slope: float) -> float:
-        """Roll angle of the axle per lateral displacement (rad/m). `slope` (-) is the tangent of the contact angle."""
+        """Roll angle of the axle per lateral displacement (rad/m) at the tangent `slope` of the contact angle (-)."""
         return slope / (self.gear.contact_base / 2 - self.wheel.radius * slope)
 
     @property
@@ -307,27 +283,24 @@ class Vehicle:
 
 
 def load_vehicle(path: Path | str | None = None, **overrides) -> Vehicle:
-    """Read and check vehicle data. InputError for a wrong file, key or value.
+    """Read and check the parameters of a vehicle. InputError for a wrong file, key or value.
 
     Args:
-        path (path, optional): A TOML file like data/vehicle.toml, the default.
+        path (path, optional): TOML file like data/vehicle.toml, the default.
         overrides: Values (SI) that replace those of the file, by dotted key, as in `load_vehicle(**{"wheel.radius":
             0.43, "adhesion.poor.mu0": 0.12})`.
     """
     vehicle = loaded(Vehicle, data.location(path, paths.source("data/vehicle.toml")), overrides)[0]
     if "wheel.cone_angle" in overrides and vehicle.contact.profile != "cone":
-        warnings.warn(
-            "wheel.cone_angle changes the control model only: the wheels of the car are no cones", stacklevel=2
-        )
+        reason = f"the wheels of the car have the profile {vehicle.contact.profile}"
+        warnings.warn(f"wheel.cone_angle changes the control model only: {reason}", stacklevel=2)
     return vehicle
 
 
 def loaded(kind: type, file: Path, overrides: dict) -> tuple[Any, dict[str, dict]]:
-    """Read a file of `Entry` tables. Returns a pair: instance of the `data.table` class `kind`; dict of all entries.
-
-    The dict maps a dotted key such as "wheel.radius" to its `Entry` as a dict. `overrides` replace values of the file
-    (SI) by dotted key; the range of such a parameter becomes "fixed". InputError for a wrong file, key or value.
-    """
+    """Read a file of entries. Returns an instance of the `data.table` class `kind`, and a dict from dotted keys such as
+    "wheel.radius" to entries as dicts. `overrides` replace values of the file (SI) by dotted key; the range of such a
+    parameter becomes "fixed". InputError for a wrong file, key or value."""
     content = data.read(file)
     entries = dict(_entries(content))
     for key, value in overrides.items():
@@ -338,7 +311,7 @@ def loaded(kind: type, file: Path, overrides: dict) -> tuple[Any, dict[str, dict
 
 
 def _entries(table: Any, key: str = "") -> Iterator[tuple[str, dict]]:
-    """Entries of a table and of those in it, by dotted key; what is no table is left to `data.build`."""
+    """Dotted keys and entries in a table and its subtables. `data.build` refuses what is neither."""
     if isinstance(table, dict) and "value" in table:
         yield key, table
     elif isinstance(table, dict):
@@ -347,6 +320,6 @@ def _entries(table: Any, key: str = "") -> Iterator[tuple[str, dict]]:
 
 
 def sample_ranges() -> dict[str, tuple[float, float]]:
-    """Ranges of the parameters in data/vehicle.toml that are not fixed, as a dict: dotted key -> (low, high) (SI)."""
+    """Ranges (low, high) (SI) of the parameters in data/vehicle.toml that are not fixed, by dotted key."""
     entries = loaded(Vehicle, paths.source("data/vehicle.toml"), {})[1]
     return {key: tuple(entry["range"]) for key, entry in entries.items() if entry["range"] != "fixed"}

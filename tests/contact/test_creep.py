@@ -1,4 +1,4 @@
-"""Forces and moment of creep: published peaks, Kalker's limit, bounds, symmetry, half spaces."""
+"""Creep forces and moment: published adhesion maxima, Kalker's limit, bounds, symmetry, half spaces."""
 
 from dataclasses import astuple
 
@@ -10,7 +10,7 @@ import pytest
 from railrepro.contact import creep
 from railrepro.vehicle.parameters import load_vehicle
 
-A, B = 6.28e-3, 7.02e-3  # the ellipse of the published peaks
+A, B = 6.28e-3, 7.02e-3  # the ellipse of the published maxima
 LOAD, SHEAR = 78.5e3, 8.2e10
 KALKER = creep.kalker_coefficients(A / B)
 PEAKS = {
@@ -22,7 +22,7 @@ PEAKS = {
 
 
 def on_wheel(creepage, k_a=1.0, k_s=1.0):
-    """Force along and across (N) and moment (N m) at creepages (-, -, 1/m), friction .4."""
+    """Force along and across (N) and moment (N m) at creepages (-, -, 1/m) with a friction of 0.4."""
     arguments = (*creepage, LOAD, A, B, *KALKER, SHEAR, k_a, k_s, 0.4, 1.0, 0.0, 0.0)
     return np.array(creep.polach(*arguments), dtype=float)
 
@@ -35,9 +35,9 @@ def test_adhesion_maxima(name, peaks):
         assert found == pytest.approx((adhesion, slip), rel=0.04)
 
 
-def test_coefficients_meet_the_table_and_that_of_spin_the_slender_limits():
+def test_coefficients_are_those_of_the_table_and_c33_has_the_limits_of_slender_ellipses():
     assert np.ravel(creep.kalker_coefficients(1.0, 0.25)) == pytest.approx([4.12, 3.67, 1.47, 1.19], rel=1e-12)
-    # Patches that are slender across: pi^2 b/(16 (1 - nu) a); along, without Poisson's effect: pi/4.
+    # Limits: pi^2 b/(16 (1 - nu) a) for small a/b; pi/4 for large a/b without Poisson's effect.
     for poisson in (0.0, 0.25):
         slender = np.pi**2 / 16 / (1 - poisson) / 0.1
         assert creep.kalker_coefficients(0.1, poisson)[3] == pytest.approx(slender, rel=0.05)
@@ -58,8 +58,7 @@ LIMITS = {
     0.02: (0.025, 0.016, 0.05, 0.03),
     0.08: (0.042, 0.06, 0.09, 0.1),
     0.2: (0.072, 0.15, 0.24, 0.26),
-}
-"""Of each spin of `creep_errors`: mean errors of force and moment, largest ones."""
+}  # for each spin of `creep_errors`: mean errors of force and moment, largest errors
 
 
 @pytest.mark.parametrize("ratio", creep_errors.RATIOS)

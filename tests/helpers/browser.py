@@ -1,7 +1,5 @@
-"""A page in headless Chromium, by its debugging protocol; as a program it makes the moving picture of the front page.
-
-That is a recording of the live page: `make live`, then `python tests/helpers/browser.py`.
-"""
+"""Control of a page in headless Chromium by its debugging protocol. As a program (`make live`, then `python
+tests/helpers/browser.py`) it records the animation of the front page from the live page."""
 
 import base64
 import contextlib
@@ -35,7 +33,7 @@ class Page:
         self.ask("Log.enable")
 
     def ask(self, method, **parameters):
-        """Answer to a command of the protocol; errors of the page are kept."""
+        """Send a command of the protocol and return its result. Errors of the page are added to `errors`."""
         self._socket.send(json.dumps({"id": 1, "method": method, "params": parameters}))
         while (answer := json.loads(self._socket.recv())).get("id") != 1:
             if answer["method"] == "Runtime.exceptionThrown":
@@ -53,7 +51,7 @@ class Page:
 
 @contextlib.contextmanager
 def opened(url, folder, size="1440,900"):
-    """The page of an address, in a browser of its own in a new folder."""
+    """Context manager that opens an address in a browser with a new profile in `folder`."""
     browser = [BROWSER, "--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0"]
     browser += ["--remote-allow-origins=*", f"--user-data-dir={folder}", f"--window-size={size}", url]
     folder.mkdir(exist_ok=True)
@@ -80,7 +78,7 @@ ENDED = "(document.body?.innerText ?? '').split('The car stands').length > 3"
 
 
 def record(page):
-    """Pictures of a run, as many as the browser gives, the second one: its modules are compiled."""
+    """Pictures of the second run on a page, as many as the browser gives. By then its modules are compiled."""
     while not page.evaluated(ENDED):
         pass
     page.evaluated("document.getElementById('run').click()")

@@ -7,11 +7,11 @@ CELLS = [
     "value = 1  # anything",
     "path = paths.product('data/results/out.csv')\npath.write_text(f'a\\n{value}\\n')\nprint(value)",
 ]
-"""Of the notebook of the fixture `tiny`."""
+"""Cells of the notebook of the fixture `tiny`."""
 
 
 def write_notebook(folder, cells, name="01_tiny"):
-    """A notebook of code cells; the second one, if any, holds the parameters."""
+    """Write a notebook of code cells, of which the second one, if any, has the parameters."""
     entries = []
     for i, source in enumerate(cells):
         tags = {"tags": ["parameters"]} if i == 1 else {}

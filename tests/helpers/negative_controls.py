@@ -1,12 +1,8 @@
-"""Negative controls: evidence that must fail a rule. A rule that its negative control passes is no rule.
+"""Negative controls: changes of the evidence that must fail a rule; a rule that holds nevertheless judges nothing.
 
-`CONTROLS` has functions from evidence to what it would be if the named thing were so; data/claims.toml names one per
-statement, and a test holds that it is not reproduced then.
-
-Serves the paper's section Multi-Body Simulation Results.
+`CONTROLS` maps a name to a function that changes the evidence. data/claims.toml names one for each statement, which a
+test must then find not reproduced.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -22,7 +18,7 @@ _SETTINGS_OF_R = (statements.BETWEEN, statements.SOFTEST)
 _DRIVEN = (*PAPER_TRIO, statements.SOFT, *_SETTINGS_OF_R)
 _STANDS_STILL = {"delay": float("inf"), "ndi_later": 0.0, "ndi_alike": 0.0, "effort_du": 0.0}
 _STANDS_STILL |= {"set_point_gain": 0.0, "error_growth": 1.0}
-_IDEAL = (statements.CONES, statements.NO_CREEP)
+_IDEAL, _BLIND = (statements.CONES, statements.NO_CREEP), (statements.RATES, statements.SHORT)
 _SWEEP, _POLES, _DRY = "sweep of R", "sweep of poles", "sine_tracking 400"
 
 
@@ -31,13 +27,18 @@ def metrics(change: Callable[[Evidence, str, str, str, float], float]) -> Contro
     return lambda e: replace(e, metrics={key: change(e, *key, value) for key, value in e.metrics.items()})
 
 
+def metric(name: str, change: Callable[[Evidence, str, str, float], float]) -> Control:
+    """Evidence with one metric changed: (evidence, scenario, controller, value) -> value."""
+    return metrics(lambda e, s, c, m, v: change(e, s, c, v) if m == name else v)
+
+
 def table(name: str, change: Callable[[pd.DataFrame], pd.DataFrame]) -> Control:
     """Evidence with one of its tables changed."""
     return lambda e: replace(e, tables=lambda which: change(e.table(which)) if which == name else e.table(which))
 
 
 def as_solver(which: str, other: str) -> Control:
-    """One solver takes the times of another."""
+    """Evidence in which the solver `which` has the times of the solver `other`."""
 
     def change(times: pd.DataFrame) -> pd.DataFrame:
         rest = times[times["solver"] != which]
@@ -47,19 +48,19 @@ def as_solver(which: str, other: str) -> Control:
 
 
 def like_nmpc(controller: str, but: str = "") -> Control:
-    """A controller has the data of NMPC."""
+    """Evidence in which a controller has the data of NMPC, except in the metric `but`."""
     return metrics(lambda e, s, c, m, v: e.metrics[s, "nmpc", m] if c == controller and m != but else v)
 
 
 def still(e: Evidence, scenario: str, controller: str, metric: str, value: float) -> float:
-    """No controller leaves the centre line."""
+    """Metric of a car whose controllers all stay on the centre line."""
     if controller not in _DRIVEN:
         return value
     return _STANDS_STILL.get(metric, e.metrics.get((scenario, NOTHING, metric), value))
 
 
 def thrice(e: Evidence) -> Evidence:
-    """LTV-MPC, NDI and all other settings have the data of NMPC, the sweep of poles those of the sweep of R."""
+    """Give LTV-MPC, NDI and all other settings the data of NMPC, and the sweep of poles those of the sweep of R."""
 
     def change(e: Evidence, scenario: str, controller: str, metric: str, value: float) -> float:
         if metric == "ndi_later":
@@ -71,14 +72,14 @@ def thrice(e: Evidence) -> Evidence:
 
 
 def set_point_ignored(e: Evidence) -> Evidence:
-    """The wheels roll, whatever adhesion is demanded."""
+    """Let the wheels roll freely, whatever adhesion is demanded."""
     ignored = {"regular_deviation": 1.0, "approached": 0.0}
     rolling = metrics(lambda e, s, c, m, v: ignored.get(m, v))(e)
     return table("adhesion_map", lambda t: t.assign(utilisation=0.0))(rolling)
 
 
 def no_slip_control(e: Evidence) -> Evidence:
-    """The base torque follows the demand and nothing else, with the same R."""
+    """Let the base torque follow the demand without slip control, with the same R."""
     ramped = metrics(lambda e, s, c, m, v: e.metrics.get((s, NO_LAW.get(c, c), m), v))(e)
 
     def without(fields: pd.DataFrame) -> pd.DataFrame:
@@ -89,21 +90,21 @@ def no_slip_control(e: Evidence) -> Evidence:
 
 
 def rail_without_effect(e: Evidence, scenario: str, controller: str, metric: str, value: float) -> float:
-    """Poor rail gives what dry rail gives, relative to y = 0, to whichever controller is judged."""
+    """Metric of a controller on poor rail if its error relative to y = 0 were that on dry rail."""
     if scenario != LOSS or controller not in ("nmpc", NDI) or metric != "rmse_y":
         return value
     return e.metrics[LOSS, NOTHING, metric] / e.metrics[_DRY, NOTHING, metric] * e(_DRY, controller, metric)
 
 
 def weight_without_effect(e: Evidence, scenario: str, controller: str, metric: str, value: float) -> float:
-    """Every R gives what the first one gives."""
+    """Metric if every R gave the results of the first one."""
     if controller == _SWEEP:
         return e.metrics.get((scenario, controller, metric.partition(" ")[0] + " 1"), value)
     return e.metrics.get((scenario, "nmpc", metric), value) if controller in _SETTINGS_OF_R else value
 
 
 def speed_without_effect(e: Evidence, scenario: str, controller: str, metric: str, value: float) -> float:
-    """The sine at every speed gives what it gives at the lowest."""
+    """Metric if the sine gave the results of the lowest speed at every speed."""
     lowest, *_ = e.sines().values()
     return e.metrics.get((lowest, controller, metric), value) if scenario.startswith("sine_tracking") else value
 
@@ -116,44 +117,35 @@ CONTROLS: dict[str, Control] = {
     "rail without effect": metrics(rail_without_effect),
     "R without effect": metrics(weight_without_effect),
     "speed without effect": metrics(speed_without_effect),
-    # every gear keeps its heading while the track turns away
-    "straight on": metrics(lambda e, s, c, m, v: 1.0 if m == "path_error" else v),
-    # the MPC trail their set point as NDI does
-    "delay of NDI": metrics(lambda e, s, c, m, v: e.metrics[s, NDI, m] if m == "delay" else v),
+    # every gear keeps its heading while the track turns
+    "straight on": metric("path_error", lambda e, s, c, v: 1.0),
+    "delay of NDI": metric("delay", lambda e, s, c, v: e.metrics[s, NDI, "delay"]),
     "no slip control": no_slip_control,
     # T3 without curve and cant: neither drift nor gyroscopic torque
     "straight track": metrics(lambda e, s, c, m, v: 0.0 if s == T3 and m in _STRAIGHT else v),
-    # T1 asks for what T3 asks for
+    # T1 needs what T3 needs
     "one track": metrics(lambda e, s, c, m, v: e.metrics.get((T3, c, m), v) if s == "curve_entry_T1" else v),
-    "no shortfall": metrics(lambda e, s, c, m, v: 0.0 if m == "shortfall" else v),
+    "no shortfall": metric("shortfall", lambda e, s, c, v: 0.0),
     # cant for the full centrifugal acceleration
     "no unbalanced acceleration": table("table1", lambda t: t.assign(phi_deg=t["phi_deg"] + [0.0, 1.27, 2.53, 3.8])),
     "one code twice": as_solver("ltv_mpc", "gauss_newton"),
     "interpreted solver": as_solver("ltv_mpc", "ipopt"),
-    # problems of one track take five times as long
     "a hard track": table(
-        "solve_times",
-        lambda t: t.assign(median_ms=t["median_ms"].mask(t["scenario"] == "curve_entry_T3", 5 * t["median_ms"])),
+        "solve_times", lambda t: t.assign(median_ms=t["median_ms"] * t["scenario"].map({T3: 5.0}).fillna(1.0))
     ),
     "cause without effect": like_nmpc(statements.AS_MODELLED),
     # profiles and creep triple the error
     "cause decides": metrics(lambda e, s, c, m, v: e.metrics[s, "nmpc", m] / 3 if c in _IDEAL else v),
-    # the bound is a quarter of what it is, so that smaller steps are judged
+    # the bound is a quarter of the true one, so that smaller steps are judged
     "smaller steps": table("adhesion_law", lambda t: t.assign(p2_over_bound=4 * t["p2_over_bound"])),
     "step without effect": table("adhesion_law", lambda t: t.assign(rms_error=1.0)),
     "fixed share costs nothing": like_nmpc(statements.FIXED, but="share"),
     "base torque without effect": like_nmpc(statements.UNINFORMED),
-    # who does not know the future is as late as who does
-    "future without effect": metrics(
-        lambda e, s, c, m, v: (
-            e.metrics[s, "nmpc", m] if c in (statements.RATES, statements.SHORT) and m == "delay" else v
-        )
+    # controllers without preview have the delay of the MPC
+    "future without effect": metric("delay", lambda e, s, c, v: e.metrics[s, "nmpc", "delay"] if c in _BLIND else v),
+    "a lag doubles the error": metric(
+        "rmse_y", lambda e, s, c, v: 2.1 * e(s.partition("ms, ")[2], c, "rmse_y") if s.startswith("lag ") else v
     ),
-    "a lag doubles the error": metrics(
-        lambda e, s, c, m, v: (
-            2.1 * e.metrics[s.partition("ms, ")[2], c, m] if s.startswith("lag ") and m == "rmse_y" else v
-        )
-    ),
-    "a lag derails": metrics(lambda e, s, c, m, v: 1.0 if s.startswith("lag 10 ") and m == "failed" else v),
+    "a lag derails": metric("failed", lambda e, s, c, v: 1.0 if s.startswith("lag 10 ") else v),
     "preview without effect": like_nmpc(statements.PREVIEW),
 }

@@ -1,4 +1,4 @@
-"""Programs in a process of their own."""
+"""Programs in separate processes."""
 
 import os
 import subprocess
@@ -8,6 +8,6 @@ from railrepro import paths
 
 
 def python(*arguments, folder=None, **environment):
-    """A program of this Python that has ended, with what it printed; it finds the checkout."""
+    """Run a program with this Python and the checkout until it ends; the result has its output."""
     own = os.environ | {"PYTHONPATH": str(paths.ROOT)} | environment
     return subprocess.run([sys.executable, *arguments], cwd=folder, env=own, capture_output=True, text=True)

@@ -1,4 +1,4 @@
-"""An instance of an FMU (FMI 2.0) in FMPy, for the tests of the export."""
+"""FMI 2.0 units in FMPy, for tests of the export."""
 
 import contextlib
 import tempfile
@@ -10,7 +10,7 @@ fmi2 = pytest.importorskip("fmpy.fmi2")
 
 
 class Instance:
-    """One instance and its log, initialised unless `begun` is false."""
+    """Instance of a unit with its log `said`; it is initialised unless `begun` is false."""
 
     def __init__(self, file, parameters=None, begun=True):
         description = fmpy.read_model_description(str(file))
@@ -39,7 +39,7 @@ class Instance:
 
     @contextlib.contextmanager
     def refused(self):
-        """Context manager: the call inside must be an error with one entry of the log, which is yielded."""
+        """Context manager that expects one call with an error and one entry in the log; yields the log."""
         self.said.clear()
         with pytest.raises(fmpy.fmi1.FMICallException) as raised:
             yield self.said

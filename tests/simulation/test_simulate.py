@@ -15,6 +15,7 @@ from railrepro.estimation.sensors import Latency, Readings, load_loop
 from railrepro.own.lqg import LqgPreview
 from railrepro.quantities import GEARS
 from railrepro.simulation import closed_loop, scenarios, simulate
+from railrepro.track.irregularity import CHANNELS
 from railrepro.track.rough import LateralOffset
 from railrepro.track.route import COLUMNS, INDEX, irregularity_in
 from railrepro.vehicle.parameters import load_vehicle
@@ -74,7 +75,8 @@ class Step:
 def test_readings_are_against_the_rails_and_as_old_as_reported_when_their_torque_acts(measurement, command):
     """On a bend of 3 mm, counted in the log: the row that was read before the step, and that in which torque rises."""
     loop = replace(load_loop().perfect(), latency=Latency(1e-3 * measurement, 1e-3 * command))
-    rails = LateralOffset(5.0, 30.0, 3e-3, transition=8.0).at(np.arange(0.0, 80.0, 0.5))
+    offset, p = LateralOffset(5.0, 30.0, 3e-3, transition=8.0), np.arange(0.0, 80.0, 0.5)
+    rails = pd.DataFrame({"p_m": p} | dict.fromkeys(CHANNELS.values(), 0.0) | offset.channels(p))
     scenario = scenarios.load_scenario("sine_tracking").but(end_m=22.0, set_point={"kind": "none"})
     run = simulate.run(scenario, lambda v, w, gear: Step(), sensors=Readings(loop), irregularities=rails)
     place, guided = run.series["front.p"].to_numpy(), run.controllers[0]

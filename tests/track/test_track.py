@@ -1,4 +1,4 @@
-"""Tracks: exact interpolation, own tracks, set points along them."""
+"""Tracks: interpolation, tracks from TOML and CSV, set points."""
 
 import re
 import warnings
@@ -6,7 +6,6 @@ import warnings
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.spatial.transform import Rotation
 
 from railrepro import paths
 from railrepro.simulation.scenarios import load_scenario
@@ -14,38 +13,34 @@ from railrepro.track import route
 from railrepro.track.alignment import alignments
 from railrepro.track.table import Track, build_table, load_track
 
-OWN = """
-[hill]
-segments = [
-  { length_m = 50 },
-  { length_m = 80, radius_m = -600, superelevation_m = -0.10, inclination_rad = 0.02 },
-  { length_m = 100 },
-]
+TRACKS = """
+hill.segments = [{ length_m = 50 },
+  { length_m = 80, radius_m = -600, superelevation_m = -0.10, inclination_rad = 0.02 }, { length_m = 100 }]
+[slow]
+design_speed_kmh = 36
+unbalanced_acceleration_mps2 = 0.5
+radius_m = -1000
+straight_m = 25
+clothoid_m = 40
+arc_m = 100
 """
 
 
-@pytest.fixture
-def hill(tmp_path):
-    file = tmp_path / "tracks.toml"
-    file.write_text(OWN)
-    return Track("hill", build_table(alignments(file)["hill"]))
-
-
-def test_rails_of_an_own_track_differ_in_height_by_the_stated_superelevation(hill):
-    """The rails are 1.5 m apart along the sleeper; in a left-hand curve the left one is lower."""
+def test_a_track_has_the_stated_cant_and_its_rates_are_the_slopes_of_its_angles(tmp_path):
+    """The rails are 1.5 m apart along the sleeper; in a left-hand curve the left one is lower, with a negative roll."""
+    (tmp_path / "tracks.toml").write_text(TRACKS)
+    hill, slow = (Track(name, build_table(one)) for name, one in alignments(tmp_path / "tracks.toml").items())
     _, _, roll, *_ = hill.interpolate(200.0)[:, 0]
-    sleeper = Rotation.from_euler("X", roll).apply([0.0, 1.5, 0.0])  # from left to right, z down
-    assert sleeper[2] == pytest.approx(-0.10, rel=1e-9)
-
-
-def test_rates_of_the_track_are_the_slopes_of_its_angles(hill):
+    assert 1.5 * np.sin(roll) == pytest.approx(-0.10, rel=1e-9)
     p, h = np.linspace(1.0, 229.0, 301), 1e-5
     slopes = (hill.interpolate(p + h) - hill.interpolate(p - h)) / (2 * h)
     assert np.allclose(hill.interpolate(p)[1::2], slopes[::2], rtol=0, atol=1e-8)
+    _, curvature, roll, *_ = slow.interpolate(160.0)[:, 0]
+    assert 10.0**2 * curvature - 9.81 * np.sin(roll) == pytest.approx(-0.5)  # unbalanced acceleration in a left curve
 
 
 def test_a_track_of_points_is_that_of_its_segments(tmp_path):
-    """Against 10^5 steps of the integrals of curvature and heading, from the first coordinate and its heading on."""
+    """Against integrals of curvature and heading in 10^5 steps."""
     phi = -np.arcsin(0.08)
     rows = [(0, 0, 0), (100, 0, 0), (300, -1 / 1500, phi), (2800, -1 / 1500, phi), (3000, 0, 0), (3100, 0, 0)]
     frame = pd.DataFrame(rows, columns=["p_m", "dpsi_dp_1pm", "phi_rad"])
@@ -85,7 +80,7 @@ def test_a_sweep_goes_from_period_to_period_and_fades_without_a_jump_of_three_de
 
 @pytest.fixture
 def own(tmp_path):
-    """Track of a CSV with this text."""
+    """Function that loads the track of a CSV with a given text."""
 
     def read(text):
         (tmp_path / "own.csv").write_text(text)
@@ -95,8 +90,8 @@ def own(tmp_path):
 
 
 @pytest.mark.parametrize("begin", [30.0, 30.25, 30.499])
-def test_a_step_of_curvature_wherever_it_lies_turns_the_track_without_a_jump(own, begin):
-    """A turnout: the heading in the table and in the cells is the integral of the curvature at every place."""
+def test_a_step_of_curvature_anywhere_gives_a_heading_without_a_jump(own, begin):
+    """A turnout: the heading in the table and in the cells is the integral of the curvature."""
     track = own(f"p_m,dpsi_dp_1pm\n0,0\n{begin},0\n{begin + 1e-3},0.00526\n60.2,0.00526\n61.7,0\n100.3,0\n")
     assert track.length == 100.3
     at, step = np.linspace(0.0, 100.0, 10_001, retstep=True)
@@ -110,24 +105,21 @@ def test_a_step_of_curvature_wherever_it_lies_turns_the_track_without_a_jump(own
     assert kappa.min() > -1e-12 and kappa.max() < 0.00526 + 1e-12
 
 
-def test_cant_ramps_between_half_metres_have_no_jump_in_the_cells(own):
+def test_cant_ramps_between_the_ends_of_cells_have_no_jump(own):
     way = route.lay(own("p_m,radius_m,cant_mm\n0,inf,0\n30.2,inf,0\n70.3,-800,-80\n100,-800,-80\n"))
     cells = dict(zip(route.COLUMNS, way.cells.T, strict=True))
     for name in ("phi", "eps"):
         assert (cells[name] + route.CELL * cells["d" + name])[:-1] == pytest.approx(cells[name][1:], abs=1e-15)
 
 
-def test_the_chainage_of_a_file_is_kept_for_output(tmp_path):
-    file, tracks = tmp_path / "line.csv", []
-    for first in (0, 245_300):
-        file.write_text(f"p_m,radius_m\n{first},inf\n{first + 100},600\n{first + 300},600\n")
-        tracks.append(load_track(file))
-    assert [track.chainage for track in tracks] == [0.0, 245_300.0]
-    assert tracks[0].table.equals(tracks[1].table)
+def test_the_chainage_of_a_file_is_kept_for_output(own):
+    text = "p_m,radius_m\n{},inf\n{},600\n{},600\n"
+    first, second = own(text.format(0, 100, 300)), own(text.format(245_300, 245_400, 245_600))
+    assert (first.chainage, second.chainage) == (0.0, 245_300.0) and first.table.equals(second.table)
 
 
 def test_radius_and_cant_in_the_units_of_the_field(own):
-    """The file of the guide, and the same track in SI."""
+    """The file in the guide, and the same track in SI."""
     (text,) = re.findall(r"```text\n(.*?)```", (paths.NOTEBOOKS / "book/adding.md").read_text(), re.DOTALL)
     field = own(text).table
     cant = np.arcsin(0.1 / 1.5)
@@ -138,46 +130,22 @@ def test_radius_and_cant_in_the_units_of_the_field(own):
 
 
 BUILT = {
-    "turnouts": (
-        "p_m,radius_m",
-        "0,inf",
-        "30,inf",
-        "30.001,190",
-        "57,190",
-        "57.001,inf",
-        "63,inf",
-        "63.001,-190",
-        "90,-190",
-    ),
-    "reverse curve": ("p_m,dpsi_dp_1pm", "0,.00526", "9,.00526", "9.001,-.00526", "40,-.00526"),
-    "hump": (
-        "p_m,dpsi_dp_1pm,eps_rad",
-        "0,0,.055",
-        "50,0,.055",
-        "67,0,-.065",
-        "90,0,-.065",
-        "90.001,.00667,-.02",
-        "160,0,0",
-    ),
-    "surveyed": ("# 2026", "p_m , radius_m, x_m, y_m", "", "12000,800, 5e6, 300", "12080, 800, 5000079.9,304.0"),
-    "smoothed": (
-        "p_m,dpsi_dp_1pm,phi_rad,dphi_dp_1pm",
-        "0,0,0,0",
-        "50,0,0,.00025",
-        "90,1e-3,.02,.0005",
-        "99,1e-3,.02,0",
-    ),
+    "turnouts": "p_m,radius_m / 0,inf / 30,inf / 30.001,190 / 57,190 / 57.001,inf / 63,inf / 63.001,-190 / 90,-190",
+    "reverse curve": "p_m,dpsi_dp_1pm / 0,.00526 / 9,.00526 / 9.001,-.00526 / 40,-.00526",
+    "hump": "p_m,eps_rad,dpsi_dp_1pm / 0,.055,0 / 50,.055,0 / 67,-.065,0 / 90,-.065,0 / 90.001,-.02,.00667 / 160,0,0",
+    "surveyed": "# 2026 / p_m , radius_m, x_m, y_m /  / 12000,800, 5e6, 300 / 12080, 800, 5000079.9,304.0",
+    "smoothed": "p_m,dpsi_dp_1pm,phi_rad,dphi_dp_1pm / 0,0,0,0 / 50,0,0,.00025 / 90,1e-3,.02,.0005 / 99,1e-3,.02,0",
 }
 
 
 @pytest.mark.parametrize("text", BUILT.values(), ids=BUILT)
-def test_what_railways_build_is_taken_without_a_word(own, text):
+def test_tracks_that_railways_build_are_accepted_without_a_warning(own, text):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert own("\n".join(text)).length >= 40
+        assert own(text.replace(" / ", "\n")).length >= 40
 
 
-def test_cant_of_the_wrong_side_and_too_fast_a_curve_are_said(own, tmp_path):
+def test_cant_of_the_wrong_side_and_too_fast_a_curve_are_warned_of(own, tmp_path):
     curve = "p_m,radius_m,cant_mm\n0,inf,0\n30,inf,0\n90,600,{0}\n300,600,{0}"
     with pytest.warns(UserWarning, match="own: the cant lowers the outer rail at p = "):
         own(curve.format(-100))
