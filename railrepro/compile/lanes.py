@@ -1,9 +1,9 @@
 """C for vector registers: several sets of arguments side by side, or mirrored operations of one set.
 
-Functions consist of scalar operations (SX) that `_OPERATIONS` translates; a KeyError names one that it does not.
-`lanes_text` evaluates a function for several sets of arguments. `pairs_text` writes a function whose inputs come in
-pairs, as those of two running gears. Two operations are twins if one does with the mirrored operands what the other
-does with its own; they become one operation of two lanes. What has no twin stays a number.
+`lanes_text` evaluates a CasADi function for several sets of arguments at once. `pairs_text` writes a function whose
+inputs come in pairs, such as those of two running gears. Two operations are twins if they do the same with mirrored
+operands. Twins become one operation on two lanes, any other operation stays one on numbers. Functions consist of scalar
+operations (SX) in `_OPERATIONS`; a KeyError names the code of another one.
 """
 
 from __future__ import annotations
@@ -29,35 +29,24 @@ _OPERATIONS = {
         (ca.OP_NOT, "{} == 0"), (ca.OP_AND, "({} != 0) & ({} != 0)"), (ca.OP_OR, "({} != 0) | ({} != 0)"),
     )},
 }  # fmt: skip
-"""C of an operation (`ca.OP_…`) on operands, which `all` lists; `own` is the prefix of functions of elementary.c."""
+"""Operation (`ca.OP_…`) -> its C; `all` is the list of operands, `own` the prefix of functions of elementary.c."""
 
 
 class Statements:
-    """C statements that each define one constant, of type double or of the vector type `lanes_t` (lanes.h).
-
-    Attributes:
-        lines (list of str): The statements so far; each method appends to it.
-    """
+    """C statements `lines` that each define a constant: a double or, if `wide`, a vector `lanes_t` (lanes.h)."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
         self._turned: dict[str, str] = {}
 
     def name(self, text: str, wide: bool) -> str:
-        """Append a constant with the C expression `text` as its value and return its name. `wide`: type lanes_t, else
-        double."""
-        found = f"t{len(self.lines)}"
-        self.lines.append(f"const {'lanes_t' if wide else 'double'} {found} = {text};")
-        return found
+        """Append a constant with the C expression `text` as its value, and return its name."""
+        name = f"t{len(self.lines)}"
+        self.lines.append(f"const {'lanes_t' if wide else 'double'} {name} = {text};")
+        return name
 
     def operation(self, kind: int, values: Sequence[str], wide: bool) -> str:
-        """Append a constant that is the result of an operation, and return its name.
-
-        Args:
-            kind (int): CasADi code of the operation, `ca.OP_…`.
-            values (sequence of str): Names of the operands.
-            wide (bool): True for lanes_t, False for double.
-        """
+        """Append a constant, the result of the operation `kind` (`ca.OP_…`) on constants, and return its name."""
         own = "lanes_" if wide else "own_"
         if kind in (ca.OP_SIN, ca.OP_COS):
             (angle,) = values
@@ -70,8 +59,7 @@ class Statements:
 
 
 def lanes_header(lanes: int = 4) -> str:
-    """C source to place between `codegen.source_text` and the text of `lanes_text` or `pairs_text`. `lanes` is the
-    number of doubles per register: 4 for `lanes_text`, 2 for `pairs_text`."""
+    """C source that comes between `codegen.source_text` and the texts of `lanes_text` (4 lanes) or `pairs_text` (2)."""
     return f"#define LANES {lanes}\n{Path(__file__).with_name('lanes.h').read_text(encoding='utf-8')}{ELEMENTARY}"
 
 
@@ -79,20 +67,23 @@ def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:
     """C source of a function that is evaluated for several sets of arguments at once, one set per lane of a register.
 
     Args:
-        function (casadi.Function): Function of scalars (SX): sums, products, quotients, elementary functions, choices.
+        function (casadi.Function): Function called NAME.
         common (sequence of str): Inputs with one value for all sets. What depends on these alone is computed once.
 
     Returns:
-        str: `static void NAME_lanes(...)`, with NAME of the function. Its arguments are the inputs, then the
-            outputs: arrays of their nonzeros in CasADi's order, of double for common inputs, else of lanes_t, the
-            vector of lanes.h with one double per set.
+        str: C function `static void NAME_lanes(...)`. Its arguments are the inputs, then the outputs, as arrays of
+            their nonzeros in CasADi's order: of double for common inputs, else of lanes_t with one double per set.
     """
     inputs, outputs = function.name_in(), function.name_out()
     kinds = ["double" if name in common else "lanes_t" for name in inputs]
     signature = [f"const {kind} *in_{name}" for kind, name in zip(kinds, inputs, strict=True)]
     signature += [f"lanes_t *out_{name}" for name in outputs]
     nodes, results = graph(function)
-    body, found = Statements(), list[tuple[str, bool]]()
+    body, constants = Statements(), list[tuple[str, bool]]()
+
+    def widened(value: str, is_wide: bool) -> str:
+        return value if is_wide else f"lanes_all({value})"
+
     for kind, *of in nodes:
         if kind == ca.OP_CONST:
             wide, name = False, body.name(repr(of[0]), False)
@@ -100,21 +91,18 @@ def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:
             wide = kinds[of[0]] == "lanes_t"
             name = body.name(f"in_{inputs[of[0]]}[{of[1]}]", wide)
         else:
-            operands = [found[operand] for operand in of]
+            operands = [constants[operand] for operand in of]
             wide = any(is_wide for _, is_wide in operands)
-            values = [value if is_wide or not wide else f"lanes_all({value})" for value, is_wide in operands]
-            name = body.operation(kind, values, wide)
-        found.append((name, wide))
+            name = body.operation(kind, [widened(*one) if wide else one[0] for one in operands], wide)
+        constants.append((name, wide))
     for to, entry, node in results:
-        value, wide = found[node]
-        body.lines.append(f"out_{outputs[to]}[{entry}] = {value if wide else f'lanes_all({value})'};")
+        body.lines.append(f"out_{outputs[to]}[{entry}] = {widened(*constants[node])};")
     text = "\n  ".join(body.lines)
     return f"static void {function.name()}_lanes({', '.join(signature)}) {{\n  {text}\n}}\n"
 
 
 _PIECE = 1000
-"""Number of statements from which a C function is split. The time of a compiler grows much faster than the length of a
-function: for the step of the car gcc takes 5 s in place of 16 s, and the result is as fast."""
+"""Number of statements at which a C function is split, since the time of compilers grows faster than the length."""
 _NAME, _DEFINED = re.compile(r"\b(?:t|both)\d+\b"), re.compile(r"const (\w+) (\w+) = ")
 _COMMUTING = (ca.OP_ADD, ca.OP_MUL)
 _LEAVES = (ca.OP_INPUT, ca.OP_CONST)
@@ -123,13 +111,12 @@ _LEAVES = (ca.OP_INPUT, ca.OP_CONST)
 def pairs_text(function: ca.Function, mirrored: Mapping[str, Sequence[int]]) -> str:
     """C source of a CasADi function in which an operation and its mirror image share one vector register.
 
-    The C function has the signature of the one that CasADi generates, and its results have the same bits. `mirrored`
-    decides how many operations share a register, not the results.
+    The C function has the signature of the one that CasADi generates, and its results have the same bits.
 
     Args:
-        function (casadi.Function): Function of the scalar operations in `_OPERATIONS`.
+        function (casadi.Function): The function.
         mirrored (mapping): Name of an input -> list of int: for each entry the index of its mirror image, such as the
-            same quantity at the other running gear, or its own index. An input that is not listed has no mirror images.
+            same quantity at the other running gear, or its own index. Other inputs have no mirror images.
     """
     nodes, outputs = graph(function)
     twins = _twins(nodes, [mirrored.get(name) for name in function.name_in()])
@@ -153,18 +140,17 @@ def pairs_text(function: ca.Function, mirrored: Mapping[str, Sequence[int]]) -> 
 
 
 def _leaf(node: tuple) -> str:
-    """C of an input or of a constant."""
+    """C of a node that is an input or a constant."""
     kind, *of = node
     return f"arg[{of[0]}][{of[1]}]" if kind == ca.OP_INPUT else repr(of[0])
 
 
 def graph(function: ca.Function) -> tuple[list[tuple], list[tuple]]:
-    """Operations of a CasADi function (SX), in the order of evaluation. Equal operations on equal operands occur once.
+    """Operations of a CasADi function (SX) in the order of evaluation, equal ones once, as two lists of tuples.
 
-    Returns:
-        nodes (list of tuple): One tuple per node, which starts with its kind `ca.OP_…`. Indices of its operands in
-            `nodes` follow; for `ca.OP_INPUT` index of the input and of the entry; for `ca.OP_CONST` the value.
-        outputs (list of tuple): One tuple per entry of an output: index of output, of entry, of node.
+    The first list has a node for each operation: its kind `ca.OP_…`, then the indices of its operands in this list; for
+    `ca.OP_INPUT` the indices of input and entry, for `ca.OP_CONST` the value. The second list has the indices of
+    output, entry and node for each entry of an output.
     """
     nodes: list[tuple] = []
     index: dict[tuple, int] = {}
@@ -185,7 +171,7 @@ def graph(function: ca.Function) -> tuple[list[tuple], list[tuple]]:
 
 
 def _twins(nodes: list[tuple], partners: list[Sequence[int] | None]) -> list[tuple[int, tuple[int, ...]]]:
-    """Twin of each node, itself where it has none, and operands of the twin in the order of the node's own."""
+    """Twin of each node, itself if it has none, and the operands of the twin in the order of those of the node."""
     index = {node: i for i, node in enumerate(nodes)}
     for i, (kind, *of) in enumerate(nodes):
         if kind in _COMMUTING:
@@ -209,14 +195,14 @@ def _twins(nodes: list[tuple], partners: list[Sequence[int] | None]) -> list[tup
 
 
 def _lanes(one: str, other: str, lanes: Mapping[str, str]) -> str:
-    """Lanes of two numbers, as they lie in a register or put together."""
+    """C of two lanes with these numbers: the register that has them, or a new one."""
     if one in lanes and other == f"{lanes[one]}[1]":
         return lanes[one]
     return f"lanes_all({one})" if one == other else f"lanes_of({one}, {other})"
 
 
 def _called(function: ca.Function, lines: list[str], outputs: list[tuple]) -> str:
-    """A C function of CasADi's form with its companion for the size of its memory."""
+    """C function with the signature of CasADi, and the function for the size of its memory."""
     name = function.name()
     body = [*lines, *(f"if (res[{to}]) res[{to}][{entry}] = {value};" for to, entry, value in outputs)]
     memory, pieces = _in_pieces(body)
@@ -239,8 +225,10 @@ int {name}_work(casadi_int *arg, casadi_int *res, casadi_int *iw, casadi_int *w)
 
 
 def _in_pieces(lines: list[str]) -> tuple[str, list[list[str]]]:
-    """Split statements into pieces of `_PIECE`, between which constants pass through arrays in a struct `*m`. Returns
-    the members of this struct and the pieces. An element is used again once no later piece needs its constant."""
+    """Members of a struct, and the statements in pieces of `_PIECE`, which pass constants on in the struct `*m`.
+
+    An element of the struct is used again once no later piece needs its constant.
+    """
     pieces = [lines[k : k + _PIECE] for k in range(0, len(lines), _PIECE)]
     last = {name: k for k, piece in enumerate(pieces) for line in piece for name in _NAME.findall(line)}
     passed: dict[str, str] = {}  # name of a constant -> its element

@@ -119,7 +119,7 @@ def test_a_compiler_that_fails_is_told_in_one_sentence(text, sentence, tmp_path,
     monkeypatch.setattr(paths, "BUILD", tmp_path)
     monkeypatch.setenv("CC", str(broken))
     cache.compiler.cache_clear()
-    with pytest.raises(cache.CompilerError, match=sentence) as told:
+    with pytest.raises(InputError, match=sentence) as told:
         cache.build("int number(void) { return 5; }")
     assert str(broken) in str(told.value) and "\n" not in str(told.value)
     assert not list(tmp_path.rglob("*.so"))
@@ -143,7 +143,7 @@ def test_what_is_compiled_ahead_is_waited_for(works, tmp_path, monkeypatch, forg
         assert cache.build("int other(void) { return 7; }").is_file()
         assert log.read_text() == 2 * "compiled\n"
     else:
-        with pytest.raises(cache.CompilerError, match="refused the generated source"):
+        with pytest.raises(InputError, match="refused the generated source"):
             cache.build("int ahead(void) { return 6; }")
     assert capsys.readouterr().err.count("compiling, once") == 1
 
@@ -157,11 +157,11 @@ def test_the_first_compiler_that_is_there_is_taken(monkeypatch, forgotten):
         assert cache.compiler() == expected
         there.remove(expected)
     cache.compiler.cache_clear()
-    with pytest.raises(cache.CompilerError, match=r"no C compiler was found \(cc, gcc\): `pip install"):
+    with pytest.raises(InputError, match=r"no C compiler was found \(cc, gcc\): `pip install"):
         cache.compiler()
     there.append("gcc")
     monkeypatch.setenv("CC", "nonexistent-cc")
-    with pytest.raises(cache.CompilerError, match=r"there is no C compiler CC='nonexistent-cc'"):
+    with pytest.raises(InputError, match=r"there is no C compiler CC='nonexistent-cc'"):
         cache.compiler()
 
 

@@ -46,7 +46,7 @@ def both(function, mirrored):
     """The function as CasADi writes it, and by twins; text of the latter."""
     text = pairs_text(function, mirrored)
     library = codegen.library((), "#define casadi_int long long\n" + lanes_header(2) + text)
-    return codegen.compiled(function), codegen.CompiledFunction(library, function), text
+    return codegen.CompiledFunction(function), codegen.CompiledFunction(function, library), text
 
 
 @pytest.mark.parametrize("piece", [1, 3, 10, 1000])
@@ -79,7 +79,7 @@ def test_the_car_has_the_bits_of_single_operations(name):
     car.step([900.0, -300.0, 500.0, 100.0], steps=400)
     given = dict(zip(("x", "u", "rows", "contacts", "par"), car.inputs(), strict=True)) | {"h": 1e-3}
     function = getattr(car.model, name)
-    single, twins = codegen.compiled(function), codegen.CompiledFunction(component.library(), function)
+    single, twins = codegen.CompiledFunction(function), codegen.CompiledFunction(function, component.library())
     for bound in (single, twins):
         for argument, of in zip(bound.arguments, function.name_in(), strict=True):
             argument[:] = np.ravel(given[of], order="F")
