@@ -110,9 +110,9 @@ def parameter_vector(vehicle: Vehicle, good: str = "dry", poor: str = "poor") ->
     for name in (good, poor):
         if not isinstance(name, str) or name not in vehicle.adhesion:
             raise InputError(f"adhesion set {name!r} is not known; there are {list(vehicle.adhesion)}")
-    sets = vehicle.adhesion[good], vehicle.adhesion[poor]
-    groups = vehicle.body, vehicle.gear, vehicle.wheel, vehicle.suspension, vehicle.drive, vehicle.contact, *sets
-    return np.array([*(value for of in groups for value in pack(of)), vehicle.gravity], dtype=float)
+    groups = vehicle.body, vehicle.gear, vehicle.wheel, vehicle.suspension, vehicle.drive, vehicle.contact
+    rails = Rails(vehicle.adhesion[good], vehicle.adhesion[poor])
+    return np.array(pack(CarParameters(*groups, rails, vehicle.gravity)), dtype=float)
 
 
 @dataclass(frozen=True)
@@ -317,12 +317,9 @@ def _rest(centred: tuple[float, ...]) -> ca.Function:
     cos_angle = 1 / np.hypot(1, contact["slope"])
     load = (vehicle.body.mass / 4 + vehicle.gear.mass / 2) * vehicle.gravity / cos_angle
     drop = (load / contact["normal_stiffness"]) ** (2 / 3) / cos_angle
-    half, radius = vehicle.body.gear_spacing / 2, contact["effective_radius"]
-    sunk, axle = vehicle.wheel.radius - radius + drop, drop - radius
-
-    def rolling(s: ca.SX | float, z: ca.SX) -> Coordinates:
-        return Coordinates(s, 0.0, z, 0.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0, 0.0, 0.0)
-
-    bodies = rolling(-half, sunk - vehicle.body.cg_height), rolling(0.0, axle), rolling(-(2 * half), axle)
-    wheels = [speed / (contact["rolling_radius"] - drop)] * len(WHEELS), [0.0] * len(WHEELS)
-    return ca.Function("car_rest", [par, speed], [ca.densify(ca.vertcat(*pack(CarState(*bodies, *wheels))))])
+    half, axle = vehicle.body.gear_spacing / 2, drop - contact["effective_radius"]
+    body = vehicle.wheel.radius - contact["effective_radius"] + drop - vehicle.body.cg_height
+    state = dict.fromkeys(STATES, 0.0) | dict.fromkeys((f"{name}.vx" for name in BODIES), speed)
+    state |= {"body.s": -half, "rear.s": -(2 * half), "body.z": body, "front.z": axle, "rear.z": axle}
+    state |= dict.fromkeys((f"w.{wheel}" for wheel in WHEELS), speed / (contact["rolling_radius"] - drop))
+    return ca.Function("car_rest", [par, speed], [ca.densify(ca.vertcat(*state.values()))])

@@ -18,34 +18,32 @@ class Stages:
     """
 
     def __init__(self) -> None:
-        self._symbols: list[ca.SX] = []
-        self._definitions: list[ca.SX] = []
+        self._held: list[tuple[ca.SX, ca.SX]] = []
 
     def hold(self, *expressions: ca.SX) -> list[ca.SX]:
         """New symbols of the same shapes as the expressions, which they stand for.
 
         The expressions may contain the state and symbols from earlier calls.
         """
-        definition = ca.vertcat(*(ca.vec(expression) for expression in expressions))
-        symbols = ca.SX.sym(f"stage{len(self._symbols)}", definition.numel())
-        self._symbols.append(symbols)
-        self._definitions.append(definition)
+        definition = ca.vertcat(*map(ca.vec, expressions))
+        symbols = ca.SX.sym(f"stage{len(self._held)}", definition.numel())
+        self._held.append((symbols, definition))
         limits = np.cumsum([0, *(expression.numel() for expression in expressions)])
         parts = ca.vertsplit(symbols, limits.tolist())
         return [ca.reshape(part, *expression.shape) for part, expression in zip(parts, expressions, strict=True)]
 
     def resolve(self, expression: ca.SX) -> ca.SX:
         """Replace each symbol from `hold` in an expression by the expression that it stands for."""
-        for symbols, definition in zip(reversed(self._symbols), reversed(self._definitions), strict=True):
+        for symbols, definition in reversed(self._held):
             expression = ca.substitute(expression, symbols, definition)
         return expression
 
     def jacobian(self, expression: ca.SX, x: ca.SX) -> ca.SX:
         """Total derivative of an expression (n, 1) by the symbols x (m, 1), shape (n, m), without symbols of `hold`."""
         totals: list[ca.SX] = []
-        for k, definition in enumerate((*self._definitions, expression)):
+        for definition in (*(definition for _, definition in self._held), expression):
             total = ca.jacobian(definition, x)
-            for symbols, inner in zip(self._symbols[:k], totals, strict=False):
+            for (symbols, _), inner in zip(self._held, totals, strict=False):
                 total += ca.jacobian(definition, symbols) @ inner
             totals.append(total)
         return self.resolve(totals[-1])

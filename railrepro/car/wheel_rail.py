@@ -101,7 +101,10 @@ class Contact:
         depth = at["rolling_radius"] - self.penetration / cos_angle
         at_contact = ca.vertcat(ahead * depth, rail_y + sign * at["rail_contact"], depth)
 
-        motion = [offset, self.penetration, self._penetration_rate(gear, sign, par)]
+        moving = ca.vertcat(gear.y, gear.z, gear.psi, gear.phi)
+        rates = ca.vertcat(*(gear.rates[name] for name in ("y", "z", "psi", "phi")))
+        rates -= ca.vertcat(*_rail_slopes(gear, sign, par), 0, 0) * gear.sdot
+        motion = [offset, self.penetration, ca.jtimes(self.penetration, moving, rates)]
         motion += self._sliding(speed, at_contact, axes, par)
         forces = self._forces(stages.hold(*motion), cell, gear.section.poor[side], par)
         self.normal, self.spin_moment, *self.tangential = stages.hold(*forces)
@@ -113,6 +116,7 @@ class Contact:
         The running speed is not 0 at standstill.
         """
         spin = axes.to_carrier.T @ ca.vertcat(self.gear.wx, -speed, self.gear.wz)
+        # the axis of the wheel passes through the centre of gravity of the carrier
         slide = axes.to_track.T @ self.gear.v + ca.cross(spin, at_contact)
         rolling_speed = ca.sqrt(self.gear.vx**2 + par.contact.rest_speed**2)
         return [ca.dot(slide, axes.tangent), ca.dot(slide, axes.lateral), ca.dot(spin, axes.normal), rolling_speed]
@@ -151,10 +155,3 @@ class Contact:
         )  # fmt: skip
         *tangential, moment = polach(*creep)
         return [normal, moment, *tangential]
-
-    def _penetration_rate(self, gear: Body, sign: int, par: Any) -> ca.SX:
-        """Time derivative of the penetration as the carrier moves over the rail (m/s)."""
-        moving = ca.vertcat(gear.y, gear.z, gear.psi, gear.phi)
-        rates = ca.vertcat(*(gear.rates[name] for name in ("y", "z", "psi", "phi")))
-        rates -= ca.vertcat(*_rail_slopes(gear, sign, par), 0, 0) * gear.sdot
-        return ca.jtimes(self.penetration, moving, rates)

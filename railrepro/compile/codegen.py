@@ -46,7 +46,7 @@ def enumeration(names: Iterable[str]) -> str:
 
 
 def source_text(functions: Sequence[ca.Function]) -> str:
-    """C source of CasADi functions after `ELEMENTARY`, with functions for their work sizes and sparsity."""
+    """C source of CasADi functions, which comes after that of `ELEMENTARY`."""
     generator = ca.CodeGenerator("generated", {"with_header": False, "verbose": False})
     for function in functions:
         generator.add(function)
@@ -90,8 +90,8 @@ def initialiser(of: ctypes.Structure) -> str:
 
 def arrays(of: ctypes.Structure) -> dict[str, np.ndarray]:
     """Arrays of doubles in a struct instance: name -> NumPy view, which shares the memory of the struct."""
-    kinds = {name: getattr(kind, "_type_", None) for name, kind, *_ in of._fields_}
-    listed = [name for name, kind in kinds.items() if kind is ctypes.c_double or hasattr(kind, "_length_")]
+    entries = {name: getattr(kind, "_type_", None) for name, kind, *_ in of._fields_}
+    listed = [name for name, kind in entries.items() if kind is ctypes.c_double or hasattr(kind, "_length_")]
     return {name: np.ctypeslib.as_array(getattr(of, name)) for name in listed}
 
 
@@ -141,12 +141,9 @@ class CompiledFunction:
         self._symbol = getattr(shared, function.name())
         self.arguments = [np.zeros(function.nnz_in(i)) for i in range(function.n_in())]
         self.results = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
-        work = [ctypes.c_longlong() for _ in range(4)]
-        getattr(shared, function.name() + "_work")(*map(ctypes.byref, work))
-        n_arg, n_res, n_iw, n_w = (max(1, size.value) for size in work)
         arguments, results = ([array.ctypes.data for array in of] for of in (self.arguments, self.results))
-        pointers = (ctypes.c_void_p * n_arg)(*arguments), (ctypes.c_void_p * n_res)(*results)
-        self._memory = *pointers, (ctypes.c_longlong * n_iw)(), (ctypes.c_double * n_w)()
+        pointers = (ctypes.c_void_p * function.sz_arg())(*arguments), (ctypes.c_void_p * function.sz_res())(*results)
+        self._memory = *pointers, (ctypes.c_longlong * function.sz_iw())(), (ctypes.c_double * function.sz_w())()
 
     def __call__(self) -> list[np.ndarray]:
         """Evaluate `arguments` into `results` and return `results`."""

@@ -120,23 +120,24 @@ def pairs_text(function: ca.Function, mirrored: Mapping[str, Sequence[int]]) -> 
     """
     nodes, outputs = graph(function)
     twins = _twins(nodes, [mirrored.get(name) for name in function.name_in()])
-    body, found = Statements(), dict[int, str]()
-    lanes: dict[str, str] = {}  # by their first number
+    body, values = Statements(), dict[int, str]()
+    registers: dict[str, str] = {}  # number in the first lane -> its register
     for node, (kind, *of) in enumerate(nodes):
-        if node in found:
+        if node in values:
             continue
         twin, of_twin = twins[node]
-        wide = twin != node and twin not in found and found.keys() >= {*of_twin}
+        wide = twin != node and twin not in values and values.keys() >= {*of_twin}
         if kind in _LEAVES:
             pairs = [(_leaf(nodes[node]), _leaf(nodes[twin]))]
         else:
-            pairs = [(found[operand], found[other]) for operand, other in zip(of, of_twin if wide else of, strict=True)]
-        values = [_lanes(*pair, lanes) if wide else pair[0] for pair in pairs]
-        name = body.name(values[0], wide) if kind in _LEAVES else body.operation(kind, values, wide)
-        found[node] = f"{name}[0]" if wide else name
+            pairs = [(values[one], values[other]) for one, other in zip(of, of_twin if wide else of, strict=True)]
+        operands = [_lanes(*pair, registers) if wide else pair[0] for pair in pairs]
+        name = body.name(operands[0], wide) if kind in _LEAVES else body.operation(kind, operands, wide)
+        values[node] = f"{name}[0]" if wide else name
         if wide:
-            found[twin], lanes[found[node]] = f"{name}[1]", name
-    return _called(function, body.lines, [(*place, found[node]) for *place, node in outputs])
+            values[twin], registers[values[node]] = f"{name}[1]", name
+    results = [f"if (res[{to}]) res[{to}][{entry}] = {values[node]};" for to, entry, node in outputs]
+    return _called(function.name(), [*body.lines, *results])
 
 
 def _leaf(node: tuple) -> str:
@@ -194,34 +195,24 @@ def _twins(nodes: list[tuple], partners: list[Sequence[int] | None]) -> list[tup
     return found
 
 
-def _lanes(one: str, other: str, lanes: Mapping[str, str]) -> str:
+def _lanes(one: str, other: str, registers: Mapping[str, str]) -> str:
     """C of two lanes with these numbers: the register that has them, or a new one."""
-    if one in lanes and other == f"{lanes[one]}[1]":
-        return lanes[one]
+    if one in registers and other == f"{registers[one]}[1]":
+        return registers[one]
     return f"lanes_all({one})" if one == other else f"lanes_of({one}, {other})"
 
 
-def _called(function: ca.Function, lines: list[str], outputs: list[tuple]) -> str:
-    """C function with the signature of CasADi, and the function for the size of its memory."""
-    name = function.name()
-    body = [*lines, *(f"if (res[{to}]) res[{to}][{entry}] = {value};" for to, entry, value in outputs)]
-    memory, pieces = _in_pieces(body)
-    sizes = zip(("arg", "res", "iw", "w"), (function.n_in(), function.n_out(), 0, 0), strict=True)
-    work = " ".join(f"if ({size}) *{size} = {value};" for size, value in sizes)
-    text = f"typedef struct {{ {memory} }} {name}_t;\n"
+def _called(name: str, lines: list[str]) -> str:
+    """C function with the signature of those that CasADi generates, from the statements in its body."""
+    memory, pieces = _in_pieces(lines)
+    text, calls = f"typedef struct {{ {memory} }} {name}_t;\n", ""
     for k, piece in enumerate(pieces):
         inside = "\n  ".join(piece)
         text += f"static __attribute__((noinline)) void {name}_{k}(const double **arg, double **res, {name}_t *m) {{\n"
         text += f"  {inside}\n}}\n"
-    calls = " ".join(f"{name}_{k}(arg, res, &m);" for k in range(len(pieces)))
-    return f"""{text}
-int {name}(const double **arg, double **res, casadi_int *iw, double *w, int memory) {{
-  {name}_t m;
-  {calls}
-  return 0;
-}}
-int {name}_work(casadi_int *arg, casadi_int *res, casadi_int *iw, casadi_int *w) {{ {work} return 0; }}
-"""
+        calls += f"  {name}_{k}(arg, res, &m);\n"
+    text += f"int {name}(const double **arg, double **res, casadi_int *iw, double *w, int memory) {{\n"
+    return text + f"  {name}_t m;\n{calls}  return 0;\n}}\n"
 
 
 def _in_pieces(lines: list[str]) -> tuple[str, list[list[str]]]:
