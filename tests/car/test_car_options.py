@@ -1,4 +1,4 @@
-"""Rails that move, flanges and the floor of the car, with their energy; lines that are planned over the rails."""
+"""Irregular rails, flanges and the floor of the car; preview of irregular rails."""
 
 import numpy as np
 import pandas as pd
@@ -16,7 +16,7 @@ from railrepro.vehicle.parameters import load_vehicle
 
 
 def lay(**channels):
-    """T5 with channels that rise within 20 m from p = 30 m on and stay."""
+    """T5 with irregularities that rise from p = 30 m to 50 m and stay."""
     p = np.arange(0.0, 900.0, route.CELL)
     rise = np.clip((p - 30) / 20, 0, 1)
     frame = pd.DataFrame({"p_m": p} | {c: channels.get(name, 0.0) * rise for name, c in CHANNELS.items()})
@@ -24,7 +24,7 @@ def lay(**channels):
 
 
 def thrown(sideways):
-    """A car at 400 km/h whose gears are thrown to the right (m/s)."""
+    """A car at 400 km/h whose running gears start with a speed to the right (m/s)."""
     car = SteppedCar("T5", 111.0)
     car.state[equations.indices("front.vy", "rear.vy")] = sideways
     return car
@@ -82,10 +82,8 @@ def test_a_planned_line_is_added_to_the_set_point():
     reference = route.reference(route.SetPoint(1, 2e-3, 150.0, 150.0, 0.0, 1e6, 30.0))
     plain, both = (route.lay(load_track("T5"), reference, line=line) for line in (None, (at, cubic)))
     inside, outside = np.array([31.25]), np.array([10.0, 70.0])
-    d = 1.0  # cells begin every half metre: the one at 31 m lies 1 m behind the coordinate 30 m
-    start = 1e-3 + 2e-5 * d - 1e-6 * d**2 / 2 + 3e-8 * d**3 / 6
-    slope = 2e-5 - 1e-6 * d + 3e-8 * d**2 / 2
-    expected = start + slope * 0.25 + (-1e-6 + 3e-8 * d) * 0.25**2 / 2 + 3e-8 * 0.25**3 / 6
+    d = 1.25  # from the node at 30 m
+    expected = 1e-3 + 2e-5 * d - 1e-6 * d**2 / 2 + 3e-8 * d**3 / 6
     added = both.reference_at(inside)[0] - plain.reference_at(inside)[0]
     assert added == pytest.approx([expected], rel=1e-9)
     assert np.array_equal(both.reference_at(outside), plain.reference_at(outside))
