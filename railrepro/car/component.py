@@ -72,11 +72,8 @@ def library() -> ctypes.CDLL:
 
 
 class Linearisation(NamedTuple):
-    """Linear model dx/dt = A x + B u, y = C x + D u of deviations from an operating point (SI), as DataFrames.
-
-    Rows and columns are labelled by the states `Car.states` (x), the torque commands `equations.WHEELS` (u) and the
-    outputs `Car.outputs` (y).
-    """
+    """Linear model dx/dt = A x + B u, y = C x + D u of deviations from an operating point (SI). Rows and columns are
+    labelled by the states `Car.states` (x), torque commands `equations.WHEELS` (u) and outputs `Car.outputs` (y)."""
 
     a: pd.DataFrame
     b: pd.DataFrame

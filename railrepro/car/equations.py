@@ -84,11 +84,9 @@ HOLDING_SPEED = 0.2
 
 
 def mirrored() -> dict[str, list[int]]:
-    """Index permutations that exchange front and rear running gear: a dict for the argument `mirrored` of `pairs_text`.
-
-    Each of the inputs "x", "u", "rows", "contacts" of the functions of `Car` has a list. Its element i is the index of
-    the same quantity at the other running gear, or i for the car body. Matrices count column by column.
-    """
+    """Index permutations that exchange front and rear running gear, for the argument `mirrored` of `pairs_text`. Each
+    of the inputs "x", "u", "rows", "contacts" of the functions of `Car` has a list. Its element i is the index of the
+    same quantity at the other running gear, or i for the car body. Matrices count column by column."""
     at, wheels = unpack(CarState, range(len(STATES))), [2, 3, 0, 1]
     exchanged = CarState(at.body, at.rear, at.front, [at.w[i] for i in wheels], [at.tau[i] for i in wheels])
     rows = np.arange(len(BODIES) * len(route.COLUMNS)).reshape(len(BODIES), -1)[[0, 2, 1]]
@@ -103,10 +101,8 @@ def indices(*names: str) -> list[int]:
 
 
 def parameter_vector(vehicle: Vehicle, good: str = "dry", poor: str = "poor") -> np.ndarray:
-    """Run-time parameters of the car as a vector in the order of `PARAMETERS` (SI).
-
-    `good` and `poor` are keys of `vehicle.adhesion`, see `Rails`. InputError for another name.
-    """
+    """Run-time parameters of the car as a vector in the order of `PARAMETERS` (SI). `good` and `poor` are keys of
+    `vehicle.adhesion`, see `Rails`. InputError for another name."""
     for name in (good, poor):
         if not isinstance(name, str) or name not in vehicle.adhesion:
             raise InputError(f"adhesion set {name!r} is not known; there are {list(vehicle.adhesion)}")
@@ -224,10 +220,8 @@ def _inertia(of: CarBody | Gear) -> tuple[Any, Any]:
 
 
 def _torque_rate(command: ca.SX, speed: ca.SX, torque: ca.SX, par: CarParameters) -> ca.SX:
-    """Derivative of a motor torque (N m/s): first-order lag behind the command within the limit of the drive.
-
-    A braking torque holds the wheel at rest. Source: Dahl 1968, A Solid Friction Model.
-    """
+    """Derivative of a motor torque (N m/s): first-order lag behind the command within the limit of the drive. A braking
+    torque holds the wheel at rest. Source: Dahl 1968, A Solid Friction Model."""
     limit = par.drive.limit(speed)
     # comparisons, since fmin and fmax would turn NaN into a limit
     limited = ca.if_else(command > limit, limit, ca.if_else(command < -limit, -limit, command))
@@ -300,12 +294,9 @@ def _energies(elements: _Elements, par: CarParameters) -> list[ca.SX]:
 
 
 def rest(table: ContactTable) -> ca.Function:
-    """CasADi function (parameters, speed (m/s)) -> initial state (SI): steady rolling on straight level track.
-
-    Parameters are in the order of `PARAMETERS`, states in that of `STATES`. The wheels are centred, the front running
-    gear is at 0 m. Rolling radius and approach of the wheels follow from the contact table. Source: Johnson 1985,
-    Contact Mechanics, section 4.2.
-    """
+    """CasADi function (parameters, speed (m/s)) -> initial state: steady rolling on straight level track, wheels
+    centred, front running gear at 0 m. Parameters are in the order of `PARAMETERS`, states in that of `STATES` (SI).
+    Rolling radius and approach of the wheels are from the table. Source: Johnson 1985, Contact Mechanics, sec. 4.2."""
     return _rest(tuple(table.cells()[table.frame["shift_m"].abs().argmin()].tolist()))
 
 

@@ -12,19 +12,15 @@ import numpy as np
 
 
 class Stages:
-    """Symbols for intermediate results of a large expression, so that its Jacobian follows the chain rule.
-
-    A force law is differentiated by its few arguments, which costs much less than by all states.
-    """
+    """Symbols for intermediate results of a large expression, so that its Jacobian follows the chain rule: a force law
+    is differentiated by its few arguments, which costs much less than by all states."""
 
     def __init__(self) -> None:
         self._held: list[tuple[ca.SX, ca.SX]] = []
 
     def hold(self, *expressions: ca.SX) -> list[ca.SX]:
-        """New symbols of the same shapes as the expressions, which they stand for.
-
-        The expressions may contain the state and symbols from earlier calls.
-        """
+        """New symbols of the same shapes as the expressions, which they stand for. The expressions may contain the
+        state and symbols from earlier calls."""
         definition = ca.vertcat(*map(ca.vec, expressions))
         symbols = ca.SX.sym(f"stage{len(self._held)}", definition.numel())
         self._held.append((symbols, definition))
@@ -50,10 +46,8 @@ class Stages:
 
 
 def rodas3(f: ca.SX, jacobian: ca.SX, x: ca.SX, h: ca.SX) -> ca.SX:
-    """State after one Rodas3 step of x' = f(x), shape (n, 1); the local error is O(h^4).
-
-    The right-hand side f (n, 1) and its Jacobian df/dx (n, n) are expressions in the symbols x (n, 1). h is the step.
-    """
+    """State after one Rodas3 step h of x' = f(x), shape (n, 1); the local error is O(h^4). The right-hand side f (n, 1)
+    and its Jacobian df/dx (n, n) are expressions in the symbols x (n, 1)."""
     solve = factorise(2 / h * ca.SX.eye(x.numel()) - jacobian)
     k1 = solve(f)
     k2 = solve(f + 4 / h * k1)
@@ -63,10 +57,8 @@ def rodas3(f: ca.SX, jacobian: ca.SX, x: ca.SX, h: ca.SX) -> ca.SX:
 
 
 def factorise(matrix: ca.SX):
-    """Factorise a sparse matrix A (n, n) of expressions; returns a function b (n, 1) -> x that solves A x = b.
-
-    LU with the pivots on the diagonal, which needs A = 2/h I - J with a small h. Source: Markowitz 1957 (their order).
-    """
+    """Factorise a sparse matrix A (n, n) of expressions; returns a function b (n, 1) -> x that solves A x = b. LU with
+    pivots on the diagonal, which needs A = 2/h I - J with a small h. Source: Markowitz 1957 (order of the pivots)."""
     n = matrix.shape[0]
     rows: list[dict] = [{} for _ in range(n)]
     for column in range(n):

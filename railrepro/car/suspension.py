@@ -81,10 +81,8 @@ class Suspension:
         self.moment_on_lower += ca.cross(arm + self._offset, force)
 
     def _spring_pair(self, on_upper: ca.SX, on_lower: ca.SX, preload: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Apply springs and dampers left and right: their mean at the centre, and a couple from their difference.
-
-        `preload` is the weight that each pair carries (N). Returns lever arm and mean deflection (m).
-        """
+        """Apply springs and dampers left and right: their mean at the centre, and a couple from their difference. They
+        carry the weight `preload` (N). Returns lever arm and mean deflection (m)."""
         data = self._par.suspension
         stiffness = ca.vertcat(data.k_x, data.k_y, data.k_z)
         damping = ca.vertcat(data.c_x, data.c_y, data.c_z)
@@ -102,10 +100,8 @@ class Suspension:
         return arm, mean
 
     def _torsion_spring(self, angle: str, stiffness, damping, free=None) -> None:
-        """Apply a torque about the gradient of the sine of a relative angle, from this sine or its excess over a play.
-
-        `free` is the play (rad), for a stop.
-        """
+        """Apply a torque about the gradient of the sine of a relative angle: proportional to this sine, or for a stop
+        to its excess over the play `free` (rad)."""
         row, column = _SINE[angle]
         sine = self._relative[row, column]
         gradient = ca.cross(self._relative[:, column], ca.SX.eye(3)[:, row])

@@ -18,10 +18,8 @@ _SIGN = {"le": -1, "ri": 1}
 
 
 def shift_to_flange(gear: Body, side: str, par: Any) -> ca.SX:
-    """Lateral shift of the wheel on side "le" or "ri" on its rail, positive towards the flange (m).
-
-    It is the argument of the contact table. `gear` is the wheel carrier, `par` an `equations.CarParameters`.
-    """
+    """Lateral shift of the wheel on side "le" or "ri" on its rail, positive towards the flange (m): the argument of the
+    contact table. `gear` is the wheel carrier, `par` an `equations.CarParameters`."""
     sign = _SIGN[side]
     return sign * (sign * par.gear.contact_base / 2 - _rail_in_axle(gear, sign, par)[0])
 
@@ -100,7 +98,6 @@ class Contact:
         ahead = axes.normal[0] / axes.normal[2]
         depth = at["rolling_radius"] - self.penetration / cos_angle
         at_contact = ca.vertcat(ahead * depth, rail_y + sign * at["rail_contact"], depth)
-
         moving = ca.vertcat(gear.y, gear.z, gear.psi, gear.phi)
         rates = ca.vertcat(*(gear.rates[name] for name in ("y", "z", "psi", "phi")))
         rates -= ca.vertcat(*_rail_slopes(gear, sign, par), 0, 0) * gear.sdot
@@ -111,10 +108,8 @@ class Contact:
         self._act(ca.vertcat(ahead * rail_z, rail_y, rail_z), at_contact, axes)
 
     def _sliding(self, speed: ca.SX, at_contact: ca.SX, axes: _Axes, par: Any) -> list[ca.SX]:
-        """Sliding speeds along and across the rail (m/s), angular speed about the normal (rad/s), running speed (m/s).
-
-        The running speed is not 0 at standstill.
-        """
+        """Sliding speeds along and across the rail (m/s), angular speed about the normal (rad/s), and running speed
+        (m/s), which is not 0 at standstill."""
         spin = axes.to_carrier.T @ ca.vertcat(self.gear.wx, -speed, self.gear.wz)
         # the axis of the wheel passes through the centre of gravity of the carrier
         slide = axes.to_track.T @ self.gear.v + ca.cross(spin, at_contact)
@@ -132,10 +127,8 @@ class Contact:
         self.force, self.moment = axes.to_track @ (creep_force + normal_force), axes.to_carrier @ moment
 
     def _forces(self, motion: list[ca.SX], cell: dict[str, ca.SX], poor: ca.SX, par: Any) -> list[ca.SX]:
-        """Normal force, spin moment, creep forces along and across the rail from the motion of the contact.
-
-        Source: Johnson 1985, Contact Mechanics, section 4.2 (normal force); Hunt and Crossley 1975 (its damping).
-        """
+        """Normal force, spin moment, creep forces along and across the rail from the motion of the contact. Source:
+        Johnson 1985, Contact Mechanics, section 4.2 (normal force); Hunt and Crossley 1975 (its damping)."""
         offset, penetration, rate, *self.sliding, self.turn, rolling_speed = motion
         at = in_cell(cell, offset)
         compression = ca.fmax(penetration, 0)

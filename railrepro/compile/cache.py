@@ -44,10 +44,8 @@ WEBASSEMBLY = (
 
 @lru_cache(maxsize=1)
 def compiler() -> str:
-    """Path of the C compiler, or "ziglang" for the one in a Python package. InputError if there is none.
-
-    It is the one that the environment variable `CC` names, else the first installed of cc, gcc and ziglang.
-    """
+    """Path of the C compiler, or "ziglang" for the one in a Python package: the one that the environment variable `CC`
+    names, else the first installed of cc, gcc and ziglang. InputError if there is none."""
     asked = os.environ.get("CC")
     for name in [asked] if asked else ["cc", "gcc", PACKAGED]:
         if command := found(name):
@@ -76,21 +74,17 @@ def _call(command: str) -> list[str]:
 
 
 def flags(portable: bool = False) -> tuple[str, ...]:
-    """Compiler flags: those in `RAILREPRO_CFLAGS`, such as "-O0 -g", or a default, then flags that are always given.
-
-    By default products and sums are not fused, so that all processors round alike, and AVX2 is used where the processor
-    has it; with `portable` it is not used.
-    """
+    """Compiler flags: those in `RAILREPRO_CFLAGS`, such as "-O0 -g", or a default, then flags that are always given. By
+    default products and sums are not fused, so that all processors round alike. AVX2 is used if the processor has it,
+    but not with `portable`."""
     wide = " -mavx2" if has_avx2() and not portable else ""
     return (*os.environ.get("RAILREPRO_CFLAGS", f"-O2 -ffp-contract=off{wide}").split(), *_ALWAYS)
 
 
 @lru_cache
 def identity(command: str, options: tuple[str, ...]) -> str:
-    """Text that identifies a compilation apart from its source: version of the compiler, flags, architecture.
-
-    `command` is a result of `compiler`, `options` are the flags. InputError if `command --version` fails.
-    """
+    """Text that identifies a compilation apart from its source: version of the compiler, flags, architecture. `command`
+    is a result of `compiler`, `options` are the flags. InputError if `command --version` fails."""
     try:
         done = subprocess.run([*_call(command), "--version"], capture_output=True, text=True, check=True, timeout=30)
     except (OSError, subprocess.SubprocessError, UnicodeDecodeError) as error:
@@ -99,10 +93,8 @@ def identity(command: str, options: tuple[str, ...]) -> str:
 
 
 def folders(name: str) -> Iterator[Path]:
-    """Folders `name` that only this user can write: in `build` of a checkout, then in the user's cache.
-
-    They are made if need be. One that others can write, or that nobody can, is left out.
-    """
+    """Folders `name` that only this user can write: in `build` of a checkout, then in the user's cache. They are made
+    if need be. One that others can write, or that nobody can, is left out."""
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # stays relative where there is no home
     places = [] if paths.INSTALLED else [paths.BUILD / name]
     places += [Path(home, "railrepro", name)] if os.path.isabs(home) else []
@@ -129,11 +121,9 @@ def user_folder() -> Path:
 
 
 def seal(name: str, content: bytes) -> bytes:
-    """Seal of a file with this name and content: 32 bytes that only the owner of the user's key can compute (HMAC).
-
-    The key is made at the first use and stays in `user_folder`. If this is `cache_folder`, seals show damage, but not
-    that objects and key came from others.
-    """
+    """Seal of a file with this name and content: 32 bytes that only the owner of the user's key can compute (HMAC). The
+    key is made at the first use and stays in `user_folder`. If this is `cache_folder`, seals show damage, but not that
+    objects and key came from others."""
     return hmac.digest(_key(user_folder() / "key"), name.encode() + b"\0" + content, "sha256")
 
 

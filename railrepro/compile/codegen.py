@@ -96,10 +96,8 @@ def arrays(of: ctypes.Structure) -> dict[str, np.ndarray]:
 
 
 def for_c(what: str, value: Any, shape: tuple[int, ...], largest: float = sys.float_info.max) -> np.ndarray:
-    """Copy of an argument as a float64 array.
-
-    InputError, with the name `what`, unless it has this shape and consists of numbers up to `largest` in magnitude.
-    """
+    """Copy of an argument as a float64 array. InputError, with the name `what`, unless it has this shape and consists
+    of numbers up to `largest` in magnitude."""
     try:
         given = np.asarray(value)
     except (TypeError, ValueError):  # a list of lists of different lengths
@@ -112,10 +110,8 @@ def for_c(what: str, value: Any, shape: tuple[int, ...], largest: float = sys.fl
 
 
 def in_c(name: str, largest: float = sys.float_info.max) -> Any:
-    """Property of a class whose `_arrays` are those of `arrays`: the view `name`, into which an assignment copies.
-
-    The numbers may be up to `largest` in magnitude, see `for_c`.
-    """
+    """Property of a class whose `_arrays` are those of `arrays`: the view `name`, into which an assignment copies
+    numbers up to `largest` in magnitude."""
 
     def assign(instance: Any, value: Any) -> None:
         array = instance._arrays[name]

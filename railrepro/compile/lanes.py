@@ -147,12 +147,10 @@ def _leaf(node: tuple) -> str:
 
 
 def graph(function: ca.Function) -> tuple[list[tuple], list[tuple]]:
-    """Operations of a CasADi function (SX) in the order of evaluation, equal ones once, as two lists of tuples.
-
-    The first list has a node for each operation: its kind `ca.OP_…`, then the indices of its operands in this list; for
+    """Operations of a CasADi function (SX) in the order of evaluation, equal ones once, as two lists of tuples. The
+    first list has a node for each operation: its kind `ca.OP_…`, then the indices of its operands in this list; for
     `ca.OP_INPUT` the indices of input and entry, for `ca.OP_CONST` the value. The second list has the indices of
-    output, entry and node for each entry of an output.
-    """
+    output, entry and node for each entry of an output."""
     nodes: list[tuple] = []
     index: dict[tuple, int] = {}
     slots: dict[int, int] = {}
@@ -216,10 +214,8 @@ def _called(name: str, lines: list[str]) -> str:
 
 
 def _in_pieces(lines: list[str]) -> tuple[str, list[list[str]]]:
-    """Members of a struct, and the statements in pieces of `_PIECE`, which pass constants on in the struct `*m`.
-
-    An element of the struct is used again once no later piece needs its constant.
-    """
+    """Members of a struct, and the statements in pieces of `_PIECE`, which pass constants on in the struct `*m`. An
+    element of the struct is used again once no later piece needs its constant."""
     pieces = [lines[k : k + _PIECE] for k in range(0, len(lines), _PIECE)]
     last = {name: k for k, piece in enumerate(pieces) for line in piece for name in _NAME.findall(line)}
     passed: dict[str, str] = {}  # name of a constant -> its element

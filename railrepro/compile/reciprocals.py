@@ -11,10 +11,8 @@ from railrepro.compile.lanes import graph
 
 
 def share_reciprocals(function: ca.Function) -> ca.Function:
-    """Replace the divisions x/y of a CasADi function (SX) by x (1/y) where y divides several times.
-
-    The function that is returned has the same name, inputs and outputs, and equal values up to rounding.
-    """
+    """Replace the divisions x/y of a CasADi function (SX) by x (1/y) where y divides several times. The function that
+    is returned has the same name, inputs and outputs, and equal values up to rounding."""
     nodes, outputs = graph(function)
     divided = Counter(of[-1] for kind, *of in nodes if kind in (ca.OP_DIV, ca.OP_INV))
     arguments = [ca.SX.sym(name, function.sparsity_in(i)) for i, name in enumerate(function.name_in())]

@@ -14,7 +14,7 @@ CONES = load_vehicle(**{"contact.profile": "cone"})
 
 
 def at(speed=20.0, way="T5", **values):
-    """A car on cones at rest state but for `values` (dots as double underscores)."""
+    """A car on cones in its initial state but for `values`, with double underscores for dots."""
     car = SteppedCar(way, speed, CONES)
     for name, value in values.items():
         car.state[equations.INDEX[name.replace("__", ".")]] = value
@@ -22,7 +22,7 @@ def at(speed=20.0, way="T5", **values):
 
 
 def rates(car, **commands):
-    """Derivatives of the states under torque commands of some wheels."""
+    """Derivatives of the states under these torque commands of wheels."""
     car.torque[:] = [commands.get(wheel, 0.0) for wheel in equations.WHEELS]
     return np.array(car.model.rate(*car.inputs())).ravel()
 
@@ -40,7 +40,7 @@ def rates(car, **commands):
     ],
 )
 def test_the_drive_gives_what_its_limit_and_standstill_allow(command, rim_speed, given, fraction):
-    """4 kN m; a driving torque is forward, a braking one against the rotation, and it follows its wheel to rest."""
+    """The limit is 4 kN m. A driving torque acts forwards, a braking one against the rotation, down to rest."""
     rate = rates(at(w__rear_le=rim_speed / 0.46, tau__rear_le=200.0), rear_le=command)
     assert rate[equations.INDEX["tau.rear_le"]] == pytest.approx(fraction * (given - 200.0) / 0.005)
     assert rate[equations.indices("tau.front_le", "tau.front_ri", "tau.rear_ri")] == pytest.approx(0.0)
@@ -48,7 +48,7 @@ def test_the_drive_gives_what_its_limit_and_standstill_allow(command, rim_speed,
 
 @pytest.mark.parametrize("profile", ["cone", "s1002"])
 def test_at_the_start_no_body_is_accelerated(profile):
-    """Weight rests on springs and rails; the spin creep of the wheels leaves a hundred newtons per gear."""
+    """Springs and rails carry the weight; spin creep of the wheels leaves a hundred newtons per running gear."""
     car = SteppedCar("T5", 20.0, load_vehicle(**{"contact.profile": profile}))
     rate = rates(car)
     turns = ("vx", "vy", "vz", "wx", "wy", "wz")
@@ -57,7 +57,7 @@ def test_at_the_start_no_body_is_accelerated(profile):
 
 
 def test_heading_and_turn_rate_are_absolute_and_speed_is_along_the_track():
-    """On an arc of 500 m, 2 mm and 10 mrad off the line: what a controller measures of its gear."""
+    """Measured quantities of a running gear on an arc of 500 m, 2 mm and 10 mrad off the track."""
     table = build_table(Alignment("arc", (Segment(100.0, (2e-3, 2e-3), (0.0, 0.0), (0.0, 0.0)),)), heading=0.3)
     way, beside = route.lay(Track("arc", table)), {"front__y": 2e-3, "front__psi": 0.01, "front__s": 5.0}
     found = at(way=way, front__wz=0.07, front__vy=0.1, body__psi=-0.01, **beside).outputs
@@ -70,7 +70,7 @@ def test_heading_and_turn_rate_are_absolute_and_speed_is_along_the_track():
 
 @pytest.mark.parametrize(("speed", "slip"), [(20.0, -0.01), (0.5, -0.5 * 0.01)])
 def test_adhesion_and_slip_of_a_driven_wheel(speed, slip):
-    """A wheel that turns 1 % too fast; below 1 m/s the slip is told over 1 m/s."""
+    """A wheel that turns 1 % too fast; below 1 m/s the slip refers to 1 m/s."""
     rolling = at(speed).outputs["front_le.w"]
     found = at(speed, w__front_le=1.01 * rolling, tau__front_le=123.0).outputs
     assert found["front_le.sx"] == pytest.approx(slip, rel=1e-9)
@@ -82,7 +82,7 @@ def test_adhesion_and_slip_of_a_driven_wheel(speed, slip):
 
 @pytest.mark.parametrize(("side", "sign"), [("le", -1), ("ri", 1)])
 def test_yaw_slides_a_contact_by_its_place_in_the_table(side, sign):
-    """S1002 beside the middle, where the contacts lie 5 and 7 mm from where they are in the middle of the rail."""
+    """S1002 off centre, where the contacts are 5 and 7 mm from where they are when the wheel is centred."""
     car, slid, y = SteppedCar("T5", 40.0), [], 1.5e-3
     car.state[equations.INDEX["front.y"]] = y
     for turn in (0.0, 0.01):

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from railrepro.car.equations import CarParameters, parameter_vector
 from railrepro.car.integrator import Stages
-from railrepro.car.kinematics import COORDINATES, Body, Coordinates, Section
+from railrepro.car.kinematics import COORDINATES, Body, Coordinates
 from railrepro.car.wheel_rail import Contact
 from railrepro.contact.table import contact_table
 from railrepro.quantities import symbols, unpack
@@ -77,14 +77,6 @@ def test_body_and_track_frame_turn_in_space_with_their_angular_velocities():
     for i, velocity in ((2, part(X, "wx", "wy", "wz")), (3, turn)):
         skew = at(X)[i].T @ over_time(lambda x, i=i: at(x)[i])
         assert [skew[2, 1], skew[0, 2], skew[1, 0]] == pytest.approx(velocity, rel=1e-6)
-
-
-def test_irregularities_run_along_the_cell_and_rails_are_told_apart():
-    s = ca.SX.sym("s")
-    section = Section(s, ca.SX(ca.DM(ROW)))
-    found = ca.Function("f", [s], [section.lateral, section.vertical, section.crosslevel])(20.3)
-    assert [float(value) for value in found] == pytest.approx([2e-3 + 3e-4, -1e-3 + 9e-4, 1e-3 - 6e-4])
-    assert {side: float(share) for side, share in section.poor.items()} == {"le": 0.3, "ri": 0.9}
 
 
 @pytest.mark.parametrize(("side", "sign"), [("le", -1), ("ri", 1)])

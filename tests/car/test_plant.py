@@ -28,8 +28,8 @@ def test_energy_of_the_car_without_damping_and_friction_is_conserved():
     assert car.energies["mechanical_J"] == pytest.approx(before, rel=1e-6)
 
 
-def test_between_bodies_and_motors_no_energy_comes_or_goes_but_to_dampers():
-    """At one instant in the air over the clothoid of T3, stops at work: each force fits its energy and its power."""
+def test_between_bodies_and_motors_energy_is_lost_only_in_dampers():
+    """At one instant in the air over the clothoid of T3, at the stops: each force fits its energy and its power."""
     car, generator = SteppedCar("T3", 60.0), np.random.default_rng(1)
     car.parameters[equations.PARAMETERS.index("gear.axle_damping")] = 600.0
     sizes = {"y": 0.04, "psi": 0.06, "pitch": 0.02, "phi": 0.02, "w": 5.0, "tau": 500.0}
@@ -77,7 +77,7 @@ def test_a_share_of_the_poor_set_blends_each_rail_from_good_to_poor():
 
 
 def test_jacobian_of_the_step_is_the_derivative_of_the_rate():
-    """A wrong chain rule would cost the order silently; a linear test problem would not see it."""
+    """A wrong chain rule would lower the order, which a linear test problem does not show."""
     car = SteppedCar("T3", 280 / 3.6)
     car.step([300.0, -300.0, 150.0, -150.0], 700)
     x, (at, *inputs), h = ca.SX.sym("x", len(car.state)), car.inputs(), 1e-3

@@ -66,13 +66,11 @@ class Shout:
 @pytest.mark.parametrize(
     "spoil",
     [
-        lambda content: content[:-1],
         lambda content: content[:-20] + bytes([content[-20] ^ 1]) + content[-19:],
         lambda content: b"",
         lambda content: content[:32] + zlib.compress(pickle.dumps(Shout())),
-        lambda content: content[:32] + zlib.compress(b"3"),
     ],
-    ids=["cut", "another digit", "empty", "a pickle", "another result"],
+    ids=["another digit", "empty", "a pickle"],
 )
 def test_a_broken_file_or_one_of_other_code_is_built_again(counted, spoil, monkeypatch):
     look, built, file = counted
