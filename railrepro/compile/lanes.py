@@ -137,7 +137,7 @@ def pairs_text(function: ca.Function, mirrored: Mapping[str, Sequence[int]]) -> 
         if wide:
             values[twin], registers[values[node]] = f"{name}[1]", name
     results = [f"if (res[{to}]) res[{to}][{entry}] = {values[node]};" for to, entry, node in outputs]
-    return _called(function.name(), [*body.lines, *results])
+    return _in_pieces(function.name(), [*body.lines, *results])
 
 
 def _leaf(node: tuple) -> str:
@@ -200,38 +200,31 @@ def _lanes(one: str, other: str, registers: Mapping[str, str]) -> str:
     return f"lanes_all({one})" if one == other else f"lanes_of({one}, {other})"
 
 
-def _called(name: str, lines: list[str]) -> str:
-    """C function with the signature of those that CasADi generates, from the statements in its body."""
-    memory, pieces = _in_pieces(lines)
-    text, calls = f"typedef struct {{ {memory} }} {name}_t;\n", ""
-    for k, piece in enumerate(pieces):
-        inside = "\n  ".join(piece)
-        text += f"static __attribute__((noinline)) void {name}_{k}(const double **arg, double **res, {name}_t *m) {{\n"
-        text += f"  {inside}\n}}\n"
-        calls += f"  {name}_{k}(arg, res, &m);\n"
-    text += f"int {name}(const double **arg, double **res, casadi_int *iw, double *w, int memory) {{\n"
-    return text + f"  {name}_t m;\n{calls}  return 0;\n}}\n"
+def _in_pieces(name: str, lines: list[str]) -> str:
+    """C function with the signature of those that CasADi generates. It calls one function per `_PIECE` statements.
 
-
-def _in_pieces(lines: list[str]) -> tuple[str, list[list[str]]]:
-    """Members of a struct, and the statements in pieces of `_PIECE`, which pass constants on in the struct `*m`. An
-    element of the struct is used again once no later piece needs its constant."""
+    These pass constants on in a struct `*m`. An element of it is used again once no later piece needs its constant.
+    """
     pieces = [lines[k : k + _PIECE] for k in range(0, len(lines), _PIECE)]
-    last = {name: k for k, piece in enumerate(pieces) for line in piece for name in _NAME.findall(line)}
-    passed: dict[str, str] = {}  # name of a constant -> its element
+    last = {constant: k for k, piece in enumerate(pieces) for line in piece for constant in _NAME.findall(line)}
+    passed: dict[str, str] = {}  # constant -> its element
     free: dict[str, list[str]] = defaultdict(list)
     sizes: Counter[str] = Counter()
-    found: list[list[str]] = []
+    text, calls = "", ""
     for k, piece in enumerate(pieces):
-        found.append([])
+        text += f"static __attribute__((noinline)) void {name}_{k}(const double **arg, double **res, {name}_t *m) {{\n"
         for line in piece:
-            found[-1].append(_NAME.sub(lambda name: passed.get(name[0], name[0]), line))
-            kind, name = _DEFINED.findall(line)[0] if line.startswith("const ") else ("", "")
-            if last.get(name, k) > k:
+            text += f"  {_NAME.sub(lambda constant: passed.get(constant[0], constant[0]), line)}\n"
+            kind, constant = _DEFINED.findall(line)[0] if line.startswith("const ") else ("", "")
+            if last.get(constant, k) > k:
                 sizes[kind] += not free[kind]
-                passed[name] = free[kind].pop() if free[kind] else f"m->of_{kind}[{sizes[kind] - 1}]"
-                found[-1].append(f"{passed[name]} = {name};")
-        for name in [name for name in passed if last[name] == k]:
-            element = passed.pop(name)
+                passed[constant] = free[kind].pop() if free[kind] else f"m->of_{kind}[{sizes[kind] - 1}]"
+                text += f"  {passed[constant]} = {constant};\n"
+        for constant in [constant for constant in passed if last[constant] == k]:
+            element = passed.pop(constant)
             free[element[len("m->of_") : element.index("[")]].append(element)
-    return " ".join(f"{kind} of_{kind}[{size}];" for kind, size in sizes.items()), found
+        text += "}\n"
+        calls += f"  {name}_{k}(arg, res, &m);\n"
+    members = " ".join(f"{kind} of_{kind}[{size}];" for kind, size in sizes.items())
+    signature = f"int {name}(const double **arg, double **res, casadi_int *iw, double *w, int memory)"
+    return f"typedef struct {{ {members} }} {name}_t;\n{text}{signature} {{\n  {name}_t m;\n{calls}  return 0;\n}}\n"
