@@ -169,7 +169,7 @@ class SteppedCar:
         return other
 
     def __deepcopy__(self, _memo: dict) -> SteppedCar:
-        return copy.copy(self)  # what both share does not change
+        return copy.copy(self)  # the tables and the library that both use do not change
 
     def __reduce__(self) -> NoReturn:
         raise TypeError("a SteppedCar cannot be pickled: send its route, speed and vehicle, and make it there")
@@ -210,14 +210,14 @@ class SteppedCar:
             following = self._arrays["next"]
             beyond = ~(np.abs(following) < LARGEST_STATE)
             if beyond.any():
-                found = f"{self.model.states[beyond.argmax()]} = {following[beyond.argmax()]:.3g}"
-                raise ArithmeticError(f"{found} left all bounds {self._at('front')}")
+                value = f"{self.model.states[beyond.argmax()]} = {following[beyond.argmax()]:.3g}"
+                raise ArithmeticError(f"{value} left all bounds {self._at('front')}")
             self.state[:] = following
             self.time = start + (done + 1) * period
-            aside = np.abs(self.state[_LATERAL])
-            if not self.left_rail and aside.max() >= DERAILED:
-                gear = equations.GEARS[aside.argmax()]
-                self.left_rail = f"{gear} gear derailed, |y| = {1e3 * aside.max():.1f} mm {self._at(gear)}"
+            lateral = np.abs(self.state[_LATERAL])
+            if not self.left_rail and lateral.max() >= DERAILED:
+                gear = equations.GEARS[lateral.argmax()]
+                self.left_rail = f"{gear} gear derailed, |y| = {1e3 * lateral.max():.1f} mm {self._at(gear)}"
                 warnings.warn(self.left_rail, stacklevel=2)
 
     def _at(self, gear: str) -> str:

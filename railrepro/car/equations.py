@@ -173,7 +173,7 @@ def car() -> Car:
         states=STATES,
         rate=ca.Function("car_rate", inputs, [rate], arguments, ["dx"]),
         step=share_reciprocals(step),
-        coordinates=ca.Function("car_coordinates", [x, rows, par_], [look_up], ["x", "rows", "par"], ["places"]),
+        coordinates=ca.Function("car_coordinates", [x, rows, par_], [look_up], ["x", "rows", "par"], ["coordinates"]),
         output=ca.Function("car_output", inputs, [y], arguments, ["y"], cse),
         energy=ca.Function("car_energy", inputs, [energy], arguments, ["energies"], cse),
         outputs=names(Outputs),
@@ -225,9 +225,9 @@ def _torque_rate(command: ca.SX, speed: ca.SX, torque: ca.SX, par: CarParameters
     limit = par.drive.limit(speed)
     # comparisons, since fmin and fmax would turn NaN into a limit
     limited = ca.if_else(command > limit, limit, ca.if_else(command < -limit, -limit, command))
-    turning = ca.if_else(limited < 0, ca.fmin(ca.fabs(speed) * par.wheel.radius / HOLDING_SPEED, 1), 1)
+    fraction = ca.if_else(limited < 0, ca.fmin(ca.fabs(speed) * par.wheel.radius / HOLDING_SPEED, 1), 1)
     wanted = ca.if_else(speed < 0, ca.fabs(limited), limited)  # a positive command drives forward at any speed
-    return turning * (wanted - torque) / par.drive.lag
+    return fraction * (wanted - torque) / par.drive.lag
 
 
 def _outputs(elements: _Elements, floor: list) -> list[ca.SX]:

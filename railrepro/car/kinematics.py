@@ -62,7 +62,7 @@ class Section:
         kappa, dphi, deps (SX): Derivatives of psi, phi, eps with respect to s (rad/m).
         rotation (SX, shape (3, 3)): From track-frame to inertial components.
         position (SX, shape (3, 1)): Origin of the track frame in inertial components (m).
-        turn_rate (SX, shape (3, 1)): Rotation of the track frame per metre of track, in its axes (rad/m).
+        curvature (SX, shape (3, 1)): Rotation of the track frame per metre of track, in its own axes (rad/m).
         lateral, vertical, gauge, crosslevel (SX): Irregularities (m; crosslevel rad).
         irregularity_rates (dict): Name of an irregularity -> its derivative with respect to s.
         poor (dict): Rail "le" or "ri" -> weight (SX, 0 to 1) of the poor adhesion set against the good one.
@@ -78,7 +78,7 @@ class Section:
         self.irregularity_rates = {name: slope for name, (_, slope) in irregularity.items()}
         self.poor = {"le": cell["poor_le"], "ri": cell["poor_ri"]}
         sin, cos = ca.sin, ca.cos
-        self.turn_rate = ca.vertcat(
+        self.curvature = ca.vertcat(
             self.dphi - sin(self.eps) * self.kappa,
             cos(self.phi) * self.deps + sin(self.phi) * cos(self.eps) * self.kappa,
             -sin(self.phi) * self.deps + cos(self.phi) * cos(self.eps) * self.kappa,
@@ -105,7 +105,7 @@ class Body(Coordinates):
         rotation, attitude (SX, shape (3, 3)): From body axes to the track frame; from body axes to the inertial frame.
         position (SX, shape (3, 1)): Centre of gravity in inertial components (m).
         v, w (SX, shape (3, 1)): Velocity in track-frame components (m/s); angular velocity in body axes (rad/s).
-        turn (SX, shape (3, 1)): Angular velocity of the track frame at the body, in track-frame axes (rad/s).
+        frame_rate (SX, shape (3, 1)): Angular velocity of the track frame at the body, in track-frame axes (rad/s).
         sdot (SX): Speed along the track (m/s).
         rates (dict): Name of a coordinate (s, y, z, psi, pitch, phi) -> its time derivative (m/s, rad/s).
 
@@ -118,15 +118,15 @@ class Body(Coordinates):
         self.rotation = orientation(self.psi, self.pitch, self.phi)
         self.v: Any = ca.vertcat(self.vx, self.vy, self.vz)
         self.w: Any = ca.vertcat(self.wx, self.wy, self.wz)
-        turn_rate = self.section.turn_rate
-        self.sdot = self.vx / (1 + turn_rate[1] * self.z - turn_rate[2] * self.y)
-        self.turn = turn_rate * self.sdot
-        relative = self.w - self.rotation.T @ self.turn
+        curvature = self.section.curvature
+        self.sdot = self.vx / (1 + curvature[1] * self.z - curvature[2] * self.y)
+        self.frame_rate = curvature * self.sdot
+        relative = self.w - self.rotation.T @ self.frame_rate
         psidot = (relative[1] * ca.sin(self.phi) + relative[2] * ca.cos(self.phi)) / ca.cos(self.pitch)
         self.rates = {
             "s": self.sdot,
-            "y": self.vy + self.turn[0] * self.z,
-            "z": self.vz - self.turn[0] * self.y,
+            "y": self.vy + self.frame_rate[0] * self.z,
+            "z": self.vz - self.frame_rate[0] * self.y,
             "psi": psidot,
             "pitch": relative[1] * ca.cos(self.phi) - relative[2] * ca.sin(self.phi),
             "phi": relative[0] + psidot * ca.sin(self.pitch),
@@ -146,6 +146,6 @@ class Body(Coordinates):
         Source: Wittenburg 2008, Dynamics of Multibody Systems (gyrostat).
         """
         momentum = inertia * self.w + ca.vertcat(0, spin, 0)
-        rates = self.rates | named(("vx", "vy", "vz"), force / mass - ca.cross(self.turn, self.v))
+        rates = self.rates | named(("vx", "vy", "vz"), force / mass - ca.cross(self.frame_rate, self.v))
         rates |= named(("wx", "wy", "wz"), (moment - ca.cross(self.w, momentum)) / inertia)
         return ca.vertcat(*(rates[name] for name in COORDINATES))

@@ -45,8 +45,8 @@ class Suspension:
         offset = lower.attitude.T @ (body.position - lower.position)
         velocity = lower.attitude.T @ (body.section.rotation @ body.v - lower.section.rotation @ lower.v)
         held = stages.hold(relative, offset, velocity, relative @ body.w)
-        self._relative, self._offset, self._velocity, self._upper_turn = held
-        self._par, self._lower_turn = par, lower.w
+        self._relative, self._offset, self._velocity, self._upper_rate = held
+        self._par, self._lower_rate = par, lower.w
         self.force_on_lower, self.moment_on_lower, self._on_upper = ca.SX.zeros(3), ca.SX.zeros(3), ca.SX.zeros(3)
         self.energy = self.dissipation = ca.SX(0)
         # ±½ and not ±1, which CasADi drops: both gears keep the same operations, see `compile.lanes`
@@ -71,7 +71,7 @@ class Suspension:
         """Lever arm of a point on the upper body; displacement of this point from one on the lower body; its rate."""
         arm = self._relative @ on_upper
         deflection = self._offset + arm - on_lower
-        rate = self._velocity + ca.cross(self._upper_turn, arm) - ca.cross(self._lower_turn, arm + self._offset)
+        rate = self._velocity + ca.cross(self._upper_rate, arm) - ca.cross(self._lower_rate, arm + self._offset)
         return arm, deflection, rate
 
     def _act(self, arm: ca.SX, force: ca.SX) -> None:
@@ -91,7 +91,7 @@ class Suspension:
         self._act(arm, weight + 2 * stiffness * mean + 2 * damping * rate)
         lever = data.half_spacing * self._relative[:, 1]
         difference = lever - ca.vertcat(0, data.half_spacing, 0)
-        difference_rate = ca.cross(self._upper_turn - self._lower_turn, lever)
+        difference_rate = ca.cross(self._upper_rate - self._lower_rate, lever)
         couple = 2 * ca.cross(lever, stiffness * difference + damping * difference_rate)
         self._on_upper += couple
         self.moment_on_lower += couple
@@ -106,7 +106,7 @@ class Suspension:
         sine = self._relative[row, column]
         gradient = ca.cross(self._relative[:, column], ca.SX.eye(3)[:, row])
         over = sine if free is None else _beyond(sine, ca.sin(free))
-        rate = ca.dot(gradient, self._upper_turn - self._lower_turn)
+        rate = ca.dot(gradient, self._upper_rate - self._lower_rate)
         torque = (stiffness * over + damping * rate) * gradient
         self.moment_on_lower += torque
         self._on_upper += torque

@@ -50,10 +50,10 @@ class _Axes:
     def __init__(self, gear: Body, sign: int, slope: ca.SX, cos_angle: ca.SX, par: Any):
         self.to_track = rotation("z", gear.psi) @ rotation("x", gear.phi)
         self.to_carrier = rotation("x", -gear.phi) @ rotation("y", -gear.pitch) @ rotation("x", gear.phi)
-        turn_rate, base = gear.section.turn_rate, sign * par.gear.contact_base / 2
+        curvature, base = gear.section.curvature, sign * par.gear.contact_base / 2
         lateral_slope, vertical_slope = _rail_slopes(gear, sign, par)
-        sinking = turn_rate[0] * base + vertical_slope
-        tangent = ca.vertcat(1, ca.vertcat(lateral_slope, sinking) / (1 - turn_rate[2] * base))
+        sinking = curvature[0] * base + vertical_slope
+        tangent = ca.vertcat(1, ca.vertcat(lateral_slope, sinking) / (1 - curvature[2] * base))
         self.tangent = self.to_track.T @ (tangent / ca.norm_2(tangent))
         normal = ca.vertcat(0, sign * slope * cos_angle, cos_angle)
         normal -= self.tangent * ca.dot(self.tangent, normal)
@@ -74,7 +74,7 @@ class Contact:
 
     Attributes:
         sliding, creepage (pair of SX): Sliding speed along and across the rail (m/s), over the running speed (-).
-        turn, spin (SX): Angular speed about the contact normal (rad/s), over the running speed (1/m).
+        spin_rate, spin (SX): Angular speed about the contact normal (rad/s), over the running speed (1/m).
         force (SX, shape (3, 1)): Force on the wheel in track-frame components (N).
         moment (SX, shape (3, 1)): Moment on the carrier about its centre of gravity, in carrier axes (N m).
         normal, spin_moment (SX): Normal force (N), moment about the contact normal (N m).
@@ -121,7 +121,7 @@ class Contact:
         creep_force = axes.tangent * self.tangential[0] + axes.lateral * self.tangential[1]
         normal_force = -axes.normal * self.normal
         resultant = ca.vertcat(*self.tangential, self.spin_moment)
-        self.friction_loss = -ca.dot(resultant, ca.vertcat(*self.sliding, self.turn))
+        self.friction_loss = -ca.dot(resultant, ca.vertcat(*self.sliding, self.spin_rate))
         # the y component of this moment about the centre of gravity of the carrier turns the wheel alone
         moment = ca.cross(at_contact, creep_force) + ca.cross(at_normal, normal_force) + axes.normal * self.spin_moment
         self.force, self.moment = axes.to_track @ (creep_force + normal_force), axes.to_carrier @ moment
@@ -129,7 +129,7 @@ class Contact:
     def _forces(self, motion: list[ca.SX], cell: dict[str, ca.SX], poor: ca.SX, par: Any) -> list[ca.SX]:
         """Normal force, spin moment, creep forces along and across the rail from the motion of the contact. Source:
         Johnson 1985, Contact Mechanics, section 4.2 (normal force); Hunt and Crossley 1975 (its damping)."""
-        offset, penetration, rate, *self.sliding, self.turn, rolling_speed = motion
+        offset, penetration, rate, *self.sliding, self.spin_rate, rolling_speed = motion
         at = in_cell(cell, offset)
         compression = ca.fmax(penetration, 0)
         elastic = at["normal_stiffness"] * compression * ca.sqrt(compression + 1e-20)
@@ -137,7 +137,7 @@ class Contact:
         self.energy = elastic * compression / 2.5
         self.dissipation = (normal - elastic) * rate
         self.creepage = (self.sliding[0] / rolling_speed, self.sliding[1] / rolling_speed)
-        self.spin = self.turn / rolling_speed
+        self.spin = self.spin_rate / rolling_speed
         scale = ((normal + 1) / par.contact.nominal_load) ** (1 / 3)
         sets = zip(pack(par.adhesion.good), pack(par.adhesion.poor), strict=True)
         adhesion = [on_good * (1 - poor) + on_poor * poor for on_good, on_poor in sets]

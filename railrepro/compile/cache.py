@@ -46,12 +46,12 @@ WEBASSEMBLY = (
 def compiler() -> str:
     """Path of the C compiler, or "ziglang" for the one in a Python package: the one that the environment variable `CC`
     names, else the first installed of cc, gcc and ziglang. InputError if there is none."""
-    asked = os.environ.get("CC")
-    for name in [asked] if asked else ["cc", "gcc", PACKAGED]:
+    given = os.environ.get("CC")
+    for name in [given] if given else ["cc", "gcc", PACKAGED]:
         if command := found(name):
             return command
-    if asked:
-        raise InputError(f"there is no C compiler CC={asked!r}: without CC cc and gcc are looked for")
+    if given:
+        raise InputError(f"there is no C compiler CC={given!r}: without CC cc and gcc are looked for")
     raise InputError("no C compiler was found (cc, gcc): `pip install railrepro[compiler]` brings one")
 
 
@@ -159,8 +159,8 @@ def build(text: str, portable: bool = False, webassembly: bool = False, triple: 
         InputError: There is no compiler or no folder, or the compiler refuses the source.
     """
     if (webassembly or triple) and not found(PACKAGED):
-        wanted = f"shared objects for {triple}" if triple else "modules of WebAssembly"
-        raise InputError(f"{wanted} need `pip install railrepro[compiler]`")
+        product = f"shared objects for {triple}" if triple else "modules of WebAssembly"
+        raise InputError(f"{product} need `pip install railrepro[compiler]`")
     command = PACKAGED if webassembly or triple else compiler()
     options = WEBASSEMBLY if webassembly else flags(portable)
     options = ("-target", triple, *options) if triple else options
@@ -199,7 +199,7 @@ def _compile(command: list[str], text: str, target: Path) -> None:
     call = [*command, str(source), "-o", str(output), "-lm"]
     done = subprocess.run(call, capture_output=True, text=True, errors="replace")
     if done.returncode or not output.is_file():
-        said = done.stderr.strip()[:300] or "no object"
-        raise InputError(f"{command[0]} refused the generated source {source}: {said}")
+        reason = done.stderr.strip()[:300] or "no object"
+        raise InputError(f"{command[0]} refused the generated source {source}: {reason}")
     write(target.with_suffix(".seal"), seal(target.name, output.read_bytes()))
     os.replace(output, target)

@@ -165,10 +165,10 @@ def stored(build: Callable[..., Built]) -> Callable[..., Built]:
     def look(*arguments):
         if not code.unchanged():
             return build(*arguments)
-        asked = f"{name}{arguments!r}"
+        call = f"{name}{arguments!r}"
         kernels = [os.environ.get(variable) for variable in numerics.WITH_AVX2]
-        key = f"{code.version(), sys.version, code.packages(), kernels}{asked}"
-        file = cache.cache_folder() / f"{hashlib.sha256(asked.encode()).hexdigest()[:24]}.graph"
+        key = f"{code.version(), sys.version, code.packages(), kernels}{call}"
+        file = cache.cache_folder() / f"{hashlib.sha256(call.encode()).hexdigest()[:24]}.graph"
         with suppress(OSError):
             content = file.read_bytes()
             seal, packed = content[:32], content[32:]

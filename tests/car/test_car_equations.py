@@ -56,7 +56,7 @@ def test_at_the_start_no_body_is_accelerated(profile):
     assert rate[equations.indices(*names)] == pytest.approx(0.0, abs=0.05)
 
 
-def test_heading_and_turn_rate_are_absolute_and_speed_is_along_the_track():
+def test_heading_and_yaw_rate_are_absolute_and_speed_is_along_the_track():
     """Measured quantities of a running gear on an arc of 500 m, 2 mm and 10 mrad off the track."""
     table = build_table(Alignment("arc", (Segment(100.0, (2e-3, 2e-3), (0.0, 0.0), (0.0, 0.0)),)), heading=0.3)
     way, beside = route.lay(Track("arc", table)), {"front__y": 2e-3, "front__psi": 0.01, "front__s": 5.0}

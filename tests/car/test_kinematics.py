@@ -34,7 +34,7 @@ def body_function():
     x, state = symbols(Coordinates, "x")
     body = Body(state, ca.SX(ca.DM(ROW)))
     rates = body.derivatives(ca.DM(FORCE), ca.DM(MOMENT), MASS, ca.DM(INERTIA), SPIN)
-    return ca.Function("body", [x], [rates, body.position, body.attitude, body.section.rotation, body.turn])
+    return ca.Function("body", [x], [rates, body.position, body.attitude, body.section.rotation, body.frame_rate])
 
 
 def at(x):
