@@ -48,14 +48,14 @@ _Car = codegen.structure("car_t", _SOURCE, _SIZES)
 
 @codegen.stored
 def _pairs() -> str:
-    """C source of the functions of a car, with front and rear running gear side by side in vector registers."""
+    """Write the C of the functions of the car, with front and rear running gear side by side in vector registers."""
     car = equations.car()
     written = (pairs_text(function, equations.mirrored()) for function in (car.coordinates, car.output, car.step))
     return lanes_header(2) + "".join(written)
 
 
 def c_text(*more: ca.Function) -> str:
-    """C source of the car: the functions `more`, then the functions of the car and car.c, which calls them."""
+    """Write the C source of the car: the functions `more`, then those of the car, then car.c, which calls these."""
     return codegen.source_text(more) + _pairs() + codegen.PREAMBLE + codegen.defines(_SIZES) + _SOURCE
 
 
@@ -225,7 +225,7 @@ class SteppedCar:
 
     @property
     def outputs(self) -> dict[str, float]:
-        """Outputs at the present state (SI) as a dict: a name in `model.outputs`, such as "front.y", to its value."""
+        """Outputs at the present state (SI) as a dict: name in `model.outputs`, such as "front.y" -> value."""
         return dict(zip(self.model.outputs, self.measure().tolist(), strict=True))
 
     @property
@@ -234,7 +234,7 @@ class SteppedCar:
         return dict(zip(ENERGIES, np.array(self.model.energy(*self.inputs())).ravel().tolist(), strict=True))
 
     def inputs(self) -> tuple[np.ndarray, ...]:
-        """Copies of the arguments (x, u, rows, contacts, par) of the functions of `Car` at the present state."""
+        """Return copies of the arguments (x, u, rows, contacts, par) of the functions of `Car` at the present state."""
         self._library.car_look_up(self._pointer)
         rows, contacts = self._arrays["rows"].T, self._arrays["contacts"].T
         return tuple(a.copy() for a in (self.state, self.torque, rows, contacts, self.parameters))

@@ -84,9 +84,9 @@ HOLDING_SPEED = 0.2
 
 
 def mirrored() -> dict[str, list[int]]:
-    """Index permutations that exchange front and rear running gear, for the argument `mirrored` of `pairs_text`. Each
-    of the inputs "x", "u", "rows", "contacts" of the functions of `Car` has a list. Its element i is the index of the
-    same quantity at the other running gear, or i for the car body. Matrices count column by column."""
+    """Return the permutations that exchange front and rear running gear, for the argument `mirrored` of `pairs_text`.
+    Each of the inputs "x", "u", "rows", "contacts" of the functions of `Car` has a list. Its element i is the index of
+    the same quantity at the other running gear, or i for the car body. Matrices count column by column."""
     at, wheels = unpack(CarState, range(len(STATES))), [2, 3, 0, 1]
     exchanged = CarState(at.body, at.rear, at.front, [at.w[i] for i in wheels], [at.tau[i] for i in wheels])
     rows = np.arange(len(BODIES) * len(route.COLUMNS)).reshape(len(BODIES), -1)[[0, 2, 1]]
@@ -96,13 +96,13 @@ def mirrored() -> dict[str, list[int]]:
 
 
 def indices(*names: str) -> list[int]:
-    """Indices in the state vector of the states with these names."""
+    """Return the indices of the states with these names in the state vector."""
     return [INDEX[name] for name in names]
 
 
 def parameter_vector(vehicle: Vehicle, good: str = "dry", poor: str = "poor") -> np.ndarray:
-    """Run-time parameters of the car as a vector in the order of `PARAMETERS` (SI). `good` and `poor` are keys of
-    `vehicle.adhesion`, see `Rails`. InputError for another name."""
+    """Return the run-time parameters of the car as a vector in the order of `PARAMETERS` (SI). `good` and `poor` are
+    keys of `vehicle.adhesion`, see `Rails`. InputError for another name."""
     for name in (good, poor):
         if not isinstance(name, str) or name not in vehicle.adhesion:
             raise InputError(f"adhesion set {name!r} is not known; there are {list(vehicle.adhesion)}")
@@ -115,9 +115,12 @@ def parameter_vector(vehicle: Vehicle, good: str = "dry", poor: str = "poor") ->
 class Car:
     """CasADi functions of the car (SI).
 
-    Their arguments are x, the state; u, the torque commands of the four `WHEELS` (N m); rows, the row of the route at
-    each of the 3 `BODIES`, shape (len(route.COLUMNS), 3); contacts, the row of the contact table for each wheel, shape
-    (len(CELL_COLUMNS), 4); par, the parameters in the order of `PARAMETERS`.
+    Their arguments are:
+    - x: state in the order of `states`;
+    - u: torque commands of the four `WHEELS` (N m);
+    - rows: row of the route at each of the 3 `BODIES`, shape (len(route.COLUMNS), 3);
+    - contacts: row of the contact table at each of the 4 wheels, shape (len(CELL_COLUMNS), 4);
+    - par: parameters in the order of `PARAMETERS`.
 
     Attributes:
         states, outputs (tuple of str): Names of the entries of the state and of the output vector.
@@ -181,7 +184,7 @@ def car() -> Car:
 
 
 def _motion(elements: _Elements, commands: list, par: CarParameters) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Derivatives of the states; acceleration that the car body feels (m/s2), its angular acceleration (rad/s2)."""
+    """Return the derivatives of the states, the acceleration that the car body feels, and its angular acceleration."""
     speeds, torques, body = elements.speeds, elements.torques, elements.body
     gravity: Any = ca.vertcat(0, 0, par.gravity)
     carried, moment = ca.SX.zeros(3), ca.SX.zeros(3)
@@ -202,7 +205,7 @@ def _motion(elements: _Elements, commands: list, par: CarParameters) -> tuple[ca
 
 
 def _gear_motion(g: int, elements: _Elements, gravity: ca.SX, par: CarParameters) -> ca.SX:
-    """Derivatives of the states of the wheel carrier of running gear number `g`."""
+    """Compute the derivatives of the states of the wheel carrier of running gear number `g`."""
     gear, suspension, of_gear = elements.gears[g], elements.suspensions[g], slice(2 * g, 2 * g + 2)
     mass, inertia = _inertia(par.gear)
     force = mass * gear.section.rotation.T @ gravity + gear.rotation @ suspension.force_on_lower
@@ -215,13 +218,13 @@ def _gear_motion(g: int, elements: _Elements, gravity: ca.SX, par: CarParameters
 
 
 def _inertia(of: CarBody | Gear) -> tuple[Any, Any]:
-    """Mass (kg) and principal moments of inertia (kg m2, shape (3, 1)) of a body."""
+    """Return mass (kg) and principal moments of inertia (kg m2, shape (3, 1)) of a body."""
     return of.mass, ca.vertcat(of.inertia_x, of.inertia_y, of.inertia_z)
 
 
 def _torque_rate(command: ca.SX, speed: ca.SX, torque: ca.SX, par: CarParameters) -> ca.SX:
-    """Derivative of a motor torque (N m/s): first-order lag behind the command within the limit of the drive. A braking
-    torque holds the wheel at rest. Source: Dahl 1968, A Solid Friction Model."""
+    """Compute the derivative of a motor torque (N m/s): first-order lag behind the command within the limit of the
+    drive. A braking torque holds the wheel at rest. Source: Dahl 1968, A Solid Friction Model."""
     limit = par.drive.limit(speed)
     # comparisons, since fmin and fmax would turn NaN into a limit
     limited = ca.if_else(command > limit, limit, ca.if_else(command < -limit, -limit, command))
@@ -231,7 +234,7 @@ def _torque_rate(command: ca.SX, speed: ca.SX, torque: ca.SX, par: CarParameters
 
 
 def _outputs(elements: _Elements, floor: list) -> list[ca.SX]:
-    """Values of `Outputs` in their order."""
+    """Compute the values of `Outputs` in their order."""
     gears = [
         GearOutputs(
             p=gear.s,
@@ -269,7 +272,8 @@ def _outputs(elements: _Elements, floor: list) -> list[ca.SX]:
 
 
 def _floor(body: Body, force: ca.SX, rotation: ca.SX, par: CarParameters) -> list:
-    """Accelerations of the points of the floor. Source: Goldstein, Poole and Safko 2002, Classical Mechanics, ch. 4."""
+    """Compute the accelerations of the points of the floor. Source: Goldstein, Poole and Safko 2002, Classical
+    Mechanics, ch. 4."""
     below = par.body.cg_height - par.body.floor_height
     levers = [ca.vertcat(ahead * par.body.gear_spacing, 0, below) for ahead in FLOOR.values()]
     swings = [ca.cross(rotation, lever) + ca.cross(body.w, ca.cross(body.w, lever)) for lever in levers]
@@ -277,7 +281,7 @@ def _floor(body: Body, force: ca.SX, rotation: ca.SX, par: CarParameters) -> lis
 
 
 def _energies(elements: _Elements, par: CarParameters) -> list[ca.SX]:
-    """Mechanical energy (J), power of the motors, losses in dampers and by creep (W): `component.ENERGIES`."""
+    """Compute energy, power of the motors, and losses in dampers and by creep: `component.ENERGIES`."""
     speeds, torques, wheels = elements.speeds, elements.torques, elements.wheels
     forces: list[Any] = [*elements.suspensions, *wheels]
     energy = sum(force.energy for force in forces)
@@ -294,8 +298,8 @@ def _energies(elements: _Elements, par: CarParameters) -> list[ca.SX]:
 
 
 def rest(table: ContactTable) -> ca.Function:
-    """CasADi function (parameters, speed (m/s)) -> initial state: steady rolling on straight level track, wheels
-    centred, front running gear at 0 m. Parameters are in the order of `PARAMETERS`, states in that of `STATES` (SI).
+    """Make the CasADi function (parameters, speed (m/s)) -> initial state: steady rolling on straight level track,
+    wheels centred, front running gear at 0 m. Parameters have the order of `PARAMETERS`, states that of `STATES` (SI).
     Rolling radius and approach of the wheels are from the table. Source: Johnson 1985, Contact Mechanics, sec. 4.2."""
     return _rest(tuple(table.cells()[table.frame["shift_m"].abs().argmin()].tolist()))
 

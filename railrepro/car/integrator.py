@@ -19,7 +19,7 @@ class Stages:
         self._held: list[tuple[ca.SX, ca.SX]] = []
 
     def hold(self, *expressions: ca.SX) -> list[ca.SX]:
-        """New symbols of the same shapes as the expressions, which they stand for. The expressions may contain the
+        """Return new symbols that stand for these expressions, with the same shapes. The expressions may contain the
         state and symbols from earlier calls."""
         definition = ca.vertcat(*map(ca.vec, expressions))
         symbols = ca.SX.sym(f"stage{len(self._held)}", definition.numel())
@@ -35,7 +35,7 @@ class Stages:
         return expression
 
     def jacobian(self, expression: ca.SX, x: ca.SX) -> ca.SX:
-        """Total derivative of an expression (n, 1) by the symbols x (m, 1), shape (n, m), without symbols of `hold`."""
+        """Differentiate an expression (n, 1) by the symbols x (m, 1): shape (n, m), resolved, by the chain rule."""
         totals: list[ca.SX] = []
         for definition in (*(definition for _, definition in self._held), expression):
             total = ca.jacobian(definition, x)
@@ -46,8 +46,8 @@ class Stages:
 
 
 def rodas3(f: ca.SX, jacobian: ca.SX, x: ca.SX, h: ca.SX) -> ca.SX:
-    """State after one Rodas3 step h of x' = f(x), shape (n, 1); the local error is O(h^4). The right-hand side f (n, 1)
-    and its Jacobian df/dx (n, n) are expressions in the symbols x (n, 1)."""
+    """Integrate x' = f(x) over one step h: the state after it, shape (n, 1), with a local error O(h^4). The right-hand
+    side f (n, 1) and its Jacobian df/dx (n, n) are expressions in the symbols x (n, 1)."""
     solve = factorise(2 / h * ca.SX.eye(x.numel()) - jacobian)
     k1 = solve(f)
     k2 = solve(f + 4 / h * k1)
@@ -94,5 +94,5 @@ def factorise(matrix: ca.SX):
 
 
 def _fill_in(rows: list[dict], remaining: set[int], i: int) -> int:
-    """Markowitz count of pivot i among the remaining rows: other entries in its row times others in its column."""
+    """Count the other entries in the row of pivot i times those in its column, among the remaining rows (Markowitz)."""
     return (len(rows[i]) - 1) * (sum(i in rows[j] for j in remaining) - 1)

@@ -35,7 +35,7 @@ COORDINATES = names(Coordinates)
 
 
 def rotation(axis: str, angle: ca.SX) -> ca.SX:
-    """Rotation matrix (3, 3) about "x", "y" or "z" by an angle (rad), from the turned frame to the original one."""
+    """Return the matrix (3, 3) of a rotation about "x", "y" or "z" by an angle (rad), from turned to original frame."""
     c, s = ca.cos(angle), ca.sin(angle)
     entries: Any = {
         "x": [[1, 0, 0], [0, c, -s], [0, s, c]],
@@ -46,7 +46,7 @@ def rotation(axis: str, angle: ca.SX) -> ca.SX:
 
 
 def orientation(yaw: ca.SX, pitch: ca.SX, roll: ca.SX) -> ca.SX:
-    """Rotation matrix Rz(yaw) Ry(pitch) Rx(roll) of angles in rad, shape (3, 3). Source: eq. (1)."""
+    """Return the rotation matrix Rz(yaw) Ry(pitch) Rx(roll) of angles in rad, shape (3, 3). Source: eq. (1)."""
     return rotation("z", yaw) @ rotation("y", pitch) @ rotation("x", roll)
 
 
@@ -86,7 +86,7 @@ class Section:
 
     @staticmethod
     def _travel(cell: dict[str, ca.SX], d: ca.SX) -> ca.SX:
-        """Displacement (m) from the start of the cell to d (m) further: its Taylor expansion of third order."""
+        """Expand the displacement (m) from the start of the cell to d (m) further in a Taylor series of third order."""
         q = ca.SX.sym("q")
         psi = cell["psi"] + (cell["kappa"] + cell["dkappa"] * q / 2) * q
         eps = cell["eps"] + cell["deps"] * q
@@ -98,9 +98,10 @@ class Section:
 
 
 class Body(Coordinates):
-    """Position and motion of a rigid body with the state `state`, as CasADi expressions.
+    """Position and motion of a rigid body with the state `state`, as CasADi expressions; `row` is its row of the route.
 
-    `row` is the row of the route at the body. Attributes besides the fields of `Coordinates` are:
+    Attributes:
+        s, y, z, psi, pitch, phi, vx, vy, vz, wx, wy, wz (SX): The state, see `Coordinates`.
         section (Section): The track at s.
         rotation, attitude (SX, shape (3, 3)): From body axes to the track frame; from body axes to the inertial frame.
         position (SX, shape (3, 1)): Centre of gravity in inertial components (m).
@@ -135,7 +136,7 @@ class Body(Coordinates):
         self.position = self.section.position + self.section.rotation @ ca.vertcat(0, self.y, self.z)
 
     def derivatives(self, force: ca.SX, moment: ca.SX, mass: ca.SX, inertia: ca.SX, spin: ca.SX | float = 0) -> ca.SX:
-        """Time derivatives of `COORDINATES` by the equations of Newton and Euler (SI), shape (12, 1).
+        """Compute the time derivatives of `COORDINATES` by the equations of Newton and Euler (SI), shape (12, 1).
 
         Args:
             force (SX, shape (3, 1)): Force in track-frame components (N).

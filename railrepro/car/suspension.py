@@ -15,7 +15,7 @@ _SINE = {"roll": (2, 1), "pitch": (0, 2), "yaw": (1, 0)}
 
 
 def _beyond(value: ca.SX, clearance: ca.SX) -> ca.SX:
-    """Signed excess of a value over the range from -clearance to +clearance, 0 within it."""
+    """Return the signed excess of a value over the range from -clearance to +clearance, 0 within it."""
     return ca.fmax(value - clearance, 0) + ca.fmin(value + clearance, 0)
 
 
@@ -48,7 +48,7 @@ class Suspension:
         self._relative, self._offset, self._velocity, self._upper_rate = held
         self._par, self._lower_rate = par, lower.w
         self.force_on_lower, self.moment_on_lower, self._on_upper = ca.SX.zeros(3), ca.SX.zeros(3), ca.SX.zeros(3)
-        self.energy = self.dissipation = ca.SX(0)
+        self.energy, self.dissipation = ca.SX(0), ca.SX(0)
         # ±½ and not ±1, which CasADi drops: both gears keep the same operations, see `compile.lanes`
         data, half = par.suspension, ca.SX(end / 2) * par.body.gear_spacing
         on_body = ca.vertcat(half, 0, par.body.cg_height - data.height)
@@ -68,7 +68,7 @@ class Suspension:
         self.moment_on_upper = -self._relative.T @ on_upper
 
     def _deflection(self, on_upper: ca.SX, on_lower: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Lever arm of a point on the upper body; displacement of this point from one on the lower body; its rate."""
+        """Return the lever arm of a point on the upper body, its displacement from one on the lower body, its rate."""
         arm = self._relative @ on_upper
         deflection = self._offset + arm - on_lower
         rate = self._velocity + ca.cross(self._upper_rate, arm) - ca.cross(self._lower_rate, arm + self._offset)

@@ -18,14 +18,14 @@ _SIGN = {"le": -1, "ri": 1}
 
 
 def shift_to_flange(gear: Body, side: str, par: Any) -> ca.SX:
-    """Lateral shift of the wheel on side "le" or "ri" on its rail, positive towards the flange (m): the argument of the
-    contact table. `gear` is the wheel carrier, `par` an `equations.CarParameters`."""
+    """Compute the lateral shift of the wheel on side "le" or "ri" on its rail, positive towards the flange (m). It is
+    the argument of the contact table. `gear` is the wheel carrier, `par` an `equations.CarParameters`."""
     sign = _SIGN[side]
     return sign * (sign * par.gear.contact_base / 2 - _rail_in_axle(gear, sign, par)[0])
 
 
 def _rail_in_axle(gear: Body, sign: int, par: Any) -> tuple[ca.SX, ca.SX]:
-    """Lateral and vertical coordinate of the rail in the axes of the unpitched axle (m)."""
+    """Compute the lateral and vertical coordinate of the rail in the axes of the unpitched axle (m)."""
     y = sign * (par.gear.contact_base + gear.section.gauge) / 2 + gear.section.lateral - gear.y
     z = gear.section.vertical + sign * par.gear.contact_base / 2 * gear.section.crosslevel - gear.z
     across = y / ca.cos(gear.psi)
@@ -33,7 +33,7 @@ def _rail_in_axle(gear: Body, sign: int, par: Any) -> tuple[ca.SX, ca.SX]:
 
 
 def _rail_slopes(gear: Body, sign: int, par: Any) -> tuple[ca.SX, ca.SX]:
-    """Slopes of the irregular rail to the right and downwards along the track (-)."""
+    """Compute the slopes of the irregular rail to the right and downwards along the track (-)."""
     rates = gear.section.irregularity_rates
     sinking = rates["vertical"] + sign * par.gear.contact_base / 2 * rates["crosslevel"]
     return rates["lateral"] + sign * rates["gauge"] / 2, sinking
@@ -108,8 +108,8 @@ class Contact:
         self._act(ca.vertcat(ahead * rail_z, rail_y, rail_z), at_contact, axes)
 
     def _sliding(self, speed: ca.SX, at_contact: ca.SX, axes: _Axes, par: Any) -> list[ca.SX]:
-        """Sliding speeds along and across the rail (m/s), angular speed about the normal (rad/s), and running speed
-        (m/s), which is not 0 at standstill."""
+        """Compute the sliding speeds along and across the rail (m/s), the angular speed about the normal (rad/s) and
+        the running speed (m/s), which is not 0 at standstill."""
         spin = axes.to_carrier.T @ ca.vertcat(self.gear.wx, -speed, self.gear.wz)
         # the axis of the wheel passes through the centre of gravity of the carrier
         slide = axes.to_track.T @ self.gear.v + ca.cross(spin, at_contact)
@@ -127,8 +127,8 @@ class Contact:
         self.force, self.moment = axes.to_track @ (creep_force + normal_force), axes.to_carrier @ moment
 
     def _forces(self, motion: list[ca.SX], cell: dict[str, ca.SX], poor: ca.SX, par: Any) -> list[ca.SX]:
-        """Normal force, spin moment, creep forces along and across the rail from the motion of the contact. Source:
-        Johnson 1985, Contact Mechanics, section 4.2 (normal force); Hunt and Crossley 1975 (its damping)."""
+        """Compute normal force, spin moment, and creep forces along and across the rail from the motion of the contact.
+        Source: Johnson 1985, Contact Mechanics, section 4.2 (normal force); Hunt and Crossley 1975 (its damping)."""
         offset, penetration, rate, *self.sliding, self.spin_rate, rolling_speed = motion
         at = in_cell(cell, offset)
         compression = ca.fmax(penetration, 0)

@@ -44,8 +44,8 @@ WEBASSEMBLY = (
 
 @lru_cache(maxsize=1)
 def compiler() -> str:
-    """Path of the C compiler, or "ziglang" for the one in a Python package: the one that the environment variable `CC`
-    names, else the first installed of cc, gcc and ziglang. InputError if there is none."""
+    """Find the C compiler: the one that the environment variable `CC` names, else the first installed of cc, gcc and
+    ziglang. Returns its path, or "ziglang" for this Python package. InputError if there is none."""
     given = os.environ.get("CC")
     for name in [given] if given else ["cc", "gcc", PACKAGED]:
         if command := found(name):
@@ -56,14 +56,14 @@ def compiler() -> str:
 
 
 def found(name: str) -> str | None:
-    """Path of the program `name`, None if it is not installed. For "ziglang", a Python package, the name itself."""
+    """Return the path of the program `name`, None if it is not installed. For "ziglang" (Python) it is the name."""
     if name == PACKAGED:
         return name if importlib.util.find_spec(name) else None
     return shutil.which(name)
 
 
 def _call(command: str) -> list[str]:
-    """Command line of a compiler without source and flags. For the packaged one later flags override these."""
+    """Begin the command line of a compiler, without source and flags. For the packaged one flags override these."""
     if command != PACKAGED:
         return [command]
     folder = user_folder() / "zig"
@@ -74,17 +74,17 @@ def _call(command: str) -> list[str]:
 
 
 def flags(portable: bool = False) -> tuple[str, ...]:
-    """Compiler flags: those in `RAILREPRO_CFLAGS`, such as "-O0 -g", or a default, then flags that are always given. By
-    default products and sums are not fused, so that all processors round alike. AVX2 is used if the processor has it,
-    but not with `portable`."""
+    """Return the compiler flags: those in `RAILREPRO_CFLAGS`, such as "-O0 -g", or a default, then those always given.
+    By default products and sums are not fused, so that all processors round alike. AVX2 is used if the processor has
+    it, but not with `portable`."""
     wide = " -mavx2" if has_avx2() and not portable else ""
     return (*os.environ.get("RAILREPRO_CFLAGS", f"-O2 -ffp-contract=off{wide}").split(), *_ALWAYS)
 
 
 @lru_cache
 def identity(command: str, options: tuple[str, ...]) -> str:
-    """Text that identifies a compilation apart from its source: version of the compiler, flags, architecture. `command`
-    is a result of `compiler`, `options` are the flags. InputError if `command --version` fails."""
+    """Identify a compilation apart from its source: text with version of the compiler, flags and architecture.
+    `command` is a result of `compiler`, `options` are the flags. InputError if `command --version` fails."""
     try:
         done = subprocess.run([*_call(command), "--version"], capture_output=True, text=True, check=True, timeout=30)
     except (OSError, subprocess.SubprocessError, UnicodeDecodeError) as error:
@@ -93,8 +93,8 @@ def identity(command: str, options: tuple[str, ...]) -> str:
 
 
 def folders(name: str) -> Iterator[Path]:
-    """Folders `name` that only this user can write: in `build` of a checkout, then in the user's cache. They are made
-    if need be. One that others can write, or that nobody can, is left out."""
+    """Yield the folders `name` that only this user can write: in `build` of a checkout, then in the user's cache. They
+    are made if need be. One that others can write, or that nobody can, is left out."""
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # stays relative where there is no home
     places = [] if paths.INSTALLED else [paths.BUILD / name]
     places += [Path(home, "railrepro", name)] if os.path.isabs(home) else []
@@ -109,19 +109,19 @@ def folders(name: str) -> Iterator[Path]:
 
 
 def cache_folder() -> Path:
-    """Folder of the compiled objects, the first of `folders`. InputError if there is none."""
+    """Return the folder of the compiled objects, the first of `folders`. InputError if there is none."""
     for folder in folders("compiled"):
         return folder
     raise InputError("compiled code needs a folder that you alone can write: build or ~/.cache/railrepro")
 
 
 def user_folder() -> Path:
-    """Folder in the user's cache, which nobody else's `build` can replace; `cache_folder` if it cannot be written."""
+    """Return the folder in the user's cache, which no copied `build` replaces; `cache_folder` if it is not writable."""
     return [cache_folder(), *folders("compiled")][-1]
 
 
 def seal(name: str, content: bytes) -> bytes:
-    """Seal of a file with this name and content: 32 bytes that only the owner of the user's key can compute (HMAC). The
+    """Compute the seal of a file with this name and content: 32 bytes that need the secret key of the user (HMAC). The
     key is made at the first use and stays in `user_folder`. If this is `cache_folder`, seals show damage, but not that
     objects and key came from others."""
     return hmac.digest(_key(user_folder() / "key"), name.encode() + b"\0" + content, "sha256")
@@ -140,7 +140,7 @@ def _key(file: Path) -> bytes:
 
 
 def _is_sealed(target: Path) -> bool:
-    """Whether an object exists and has the seal of this user."""
+    """Check whether an object exists and has the seal of this user."""
     with suppress(OSError):
         return hmac.compare_digest(target.with_suffix(".seal").read_bytes(), seal(target.name, target.read_bytes()))
     return False

@@ -36,17 +36,17 @@ PREAMBLE = Path(__file__).with_name("call.h").read_text(encoding="utf-8")
 
 
 def defines(values: dict) -> str:
-    """C source with a line `#define NAME VALUE` for each entry of a dict."""
+    """Write C source with a line `#define NAME VALUE` for each entry of a dict."""
     return "".join(f"#define {name} {value}\n" for name, value in values.items())
 
 
 def enumeration(names: Iterable[str]) -> str:
-    """C source of an enum with the constants `names`, which count from 0; "NAME = 5" sets a value."""
+    """Write C source of an enum with the constants `names`, which count from 0; "NAME = 5" sets a value."""
     return f"enum {{ {', '.join(names)} }};\n"
 
 
 def source_text(functions: Sequence[ca.Function]) -> str:
-    """C source of CasADi functions, which comes after that of `ELEMENTARY`."""
+    """Write C source of CasADi functions, after that of `ELEMENTARY`."""
     generator = ca.CodeGenerator("generated", {"with_header": False, "verbose": False})
     for function in functions:
         generator.add(function)
@@ -83,21 +83,21 @@ def structure(name: str, text: str, sizes: Mapping[str, int], **kinds: Any) -> A
 
 
 def initialiser(of: ctypes.Structure) -> str:
-    """C initialiser `{.name = value, …}` of the single doubles and integers in a struct instance."""
+    """Write the C initialiser `{.name = value, …}` of the single doubles and integers in a struct instance."""
     scalars = [name for name, kind, *_ in of._fields_ if kind in (ctypes.c_double, ctypes.c_longlong)]
     return f"{{{', '.join(f'.{name} = {getattr(of, name)!r}' for name in scalars)}}}"
 
 
 def arrays(of: ctypes.Structure) -> dict[str, np.ndarray]:
-    """Arrays of doubles in a struct instance: name -> NumPy view, which shares the memory of the struct."""
+    """Return the arrays of doubles in a struct instance: name -> NumPy view, which shares the memory of the struct."""
     entries = {name: getattr(kind, "_type_", None) for name, kind, *_ in of._fields_}
     listed = [name for name, kind in entries.items() if kind is ctypes.c_double or hasattr(kind, "_length_")]
     return {name: np.ctypeslib.as_array(getattr(of, name)) for name in listed}
 
 
 def for_c(what: str, value: Any, shape: tuple[int, ...], largest: float = sys.float_info.max) -> np.ndarray:
-    """Copy of an argument as a float64 array. InputError, with the name `what`, unless it has this shape and consists
-    of numbers up to `largest` in magnitude."""
+    """Copy an argument as a float64 array. InputError, with the name `what`, unless it has this shape and consists of
+    numbers up to `largest` in magnitude."""
     try:
         given = np.asarray(value)
     except (TypeError, ValueError):  # a list of lists of different lengths
@@ -110,8 +110,8 @@ def for_c(what: str, value: Any, shape: tuple[int, ...], largest: float = sys.fl
 
 
 def in_c(name: str, largest: float = sys.float_info.max) -> Any:
-    """Property of a class whose `_arrays` are those of `arrays`: the view `name`, into which an assignment copies
-    numbers up to `largest` in magnitude."""
+    """Make a property of a class whose `_arrays` are those of `arrays`. It is the view `name`, and an assignment copies
+    numbers up to `largest` in magnitude into it."""
 
     def assign(instance: Any, value: Any) -> None:
         array = instance._arrays[name]
@@ -185,7 +185,7 @@ def stored(build: Callable[..., Built]) -> Callable[..., Built]:
 
 
 def _plain(value: Any) -> Any:
-    """Stand-in for a value that JSON does not have."""
+    """Return a stand-in for a value that JSON does not have."""
     if isinstance(value, ca.Function):
         return value.serialize()
     if isinstance(value, pd.DataFrame):
@@ -194,7 +194,7 @@ def _plain(value: Any) -> Any:
 
 
 def _restored(kind: Any, plain: Any) -> Any:
-    """Value of the type `kind` from JSON and the stand-ins of `_plain`."""
+    """Make a value of the type `kind` from JSON with the stand-ins of `_plain`."""
     if kind is ca.Function:
         return ca.Function.deserialize(plain)
     if kind is pd.DataFrame:

@@ -59,12 +59,12 @@ class Statements:
 
 
 def lanes_header(lanes: int = 4) -> str:
-    """C source that comes between `codegen.source_text` and the texts of `lanes_text` (4 lanes) or `pairs_text` (2)."""
+    """Write the C that comes between `codegen.source_text` and a text of `lanes_text` (4 lanes) or `pairs_text` (2)."""
     return f"#define LANES {lanes}\n{Path(__file__).with_name('lanes.h').read_text(encoding='utf-8')}{ELEMENTARY}"
 
 
 def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:
-    """C source of a function that is evaluated for several sets of arguments at once, one set per lane of a register.
+    """Write C that evaluates a function for several sets of arguments at once, one set per lane of a register.
 
     Args:
         function (casadi.Function): Function called NAME.
@@ -109,7 +109,7 @@ _LEAVES = (ca.OP_INPUT, ca.OP_CONST)
 
 
 def pairs_text(function: ca.Function, mirrored: Mapping[str, Sequence[int]]) -> str:
-    """C source of a CasADi function in which an operation and its mirror image share one vector register.
+    """Write C of a CasADi function in which an operation and its mirror image share one vector register.
 
     The C function has the signature of the one that CasADi generates, and its results have the same bits.
 
@@ -141,14 +141,14 @@ def pairs_text(function: ca.Function, mirrored: Mapping[str, Sequence[int]]) -> 
 
 
 def _leaf(node: tuple) -> str:
-    """C of a node that is an input or a constant."""
+    """Write the C of a node that is an input or a constant."""
     kind, *of = node
     return f"arg[{of[0]}][{of[1]}]" if kind == ca.OP_INPUT else repr(of[0])
 
 
 def graph(function: ca.Function) -> tuple[list[tuple], list[tuple]]:
-    """Operations of a CasADi function (SX) in the order of evaluation, equal ones once, as two lists of tuples. The
-    first list has a node for each operation: its kind `ca.OP_…`, then the indices of its operands in this list; for
+    """List the operations of a CasADi function (SX) in the order of evaluation, equal ones once: two lists of tuples.
+    The first list has a node for each operation: its kind `ca.OP_…`, then the indices of its operands in this list; for
     `ca.OP_INPUT` the indices of input and entry, for `ca.OP_CONST` the value. The second list has the indices of
     output, entry and node for each entry of an output."""
     nodes: list[tuple] = []
@@ -170,7 +170,7 @@ def graph(function: ca.Function) -> tuple[list[tuple], list[tuple]]:
 
 
 def _twins(nodes: list[tuple], partners: list[Sequence[int] | None]) -> list[tuple[int, tuple[int, ...]]]:
-    """Twin of each node, itself if it has none, and the operands of the twin in the order of those of the node."""
+    """Find the twin of each node, itself if it has none, with its operands in the order of those of the node."""
     index = {node: i for i, node in enumerate(nodes)}
     for i, (kind, *of) in enumerate(nodes):
         if kind in _COMMUTING:
@@ -194,17 +194,15 @@ def _twins(nodes: list[tuple], partners: list[Sequence[int] | None]) -> list[tup
 
 
 def _lanes(one: str, other: str, registers: Mapping[str, str]) -> str:
-    """C of two lanes with these numbers: the register that has them, or a new one."""
+    """Write the C of two lanes with these numbers: the register that has them, or a new one."""
     if one in registers and other == f"{registers[one]}[1]":
         return registers[one]
     return f"lanes_all({one})" if one == other else f"lanes_of({one}, {other})"
 
 
 def _in_pieces(name: str, lines: list[str]) -> str:
-    """C function with the signature of those that CasADi generates. It calls one function per `_PIECE` statements.
-
-    These pass constants on in a struct `*m`. An element of it is used again once no later piece needs its constant.
-    """
+    """Write a C function like those that CasADi generates, which calls one function for each `_PIECE` statements. These
+    pass constants on in a struct `*m`. An element of it is used again once no later piece needs its constant."""
     pieces = [lines[k : k + _PIECE] for k in range(0, len(lines), _PIECE)]
     last = {constant: k for k, piece in enumerate(pieces) for line in piece for constant in _NAME.findall(line)}
     passed: dict[str, str] = {}  # constant -> its element
