@@ -20,6 +20,7 @@ from railrepro.compile.codegen import ELEMENTARY
 
 _CALLS = ("tan", "asin", "atan", "exp", "log", "sqrt", "fabs", "sign", "pow", "fmin", "fmax")
 _OPERATIONS = {
+    **{ca.OP_INPUT: "{}", ca.OP_CONST: "{}"},
     **{ca.OP_ADD: "{} + {}", ca.OP_SUB: "{} - {}", ca.OP_MUL: "{} * {}", ca.OP_DIV: "{} / {}"},
     **{ca.OP_NEG: "-{}", ca.OP_SQ: "{0} * {0}", ca.OP_TWICE: "{0} + {0}", ca.OP_INV: "{own}all(1.0) / {}"},
     **{getattr(ca, f"OP_{name.upper()}"): f"{{own}}{name}({{all}})" for name in _CALLS},
@@ -39,14 +40,8 @@ class Statements:
         self.lines: list[str] = []
         self._turned: dict[str, str] = {}
 
-    def name(self, text: str, wide: bool) -> str:
-        """Append a constant with the C expression `text` as its value, and return its name."""
-        name = f"t{len(self.lines)}"
-        self.lines.append(f"const {'lanes_t' if wide else 'double'} {name} = {text};")
-        return name
-
     def operation(self, kind: int, values: Sequence[str], wide: bool) -> str:
-        """Append a constant, the result of the operation `kind` (`ca.OP_…`) on constants, and return its name."""
+        """Append a constant, the result of the operation `kind` (`ca.OP_…`) on these values, and return its name."""
         own = "lanes_" if wide else "own_"
         if kind in (ca.OP_SIN, ca.OP_COS):
             (angle,) = values
@@ -54,8 +49,12 @@ class Statements:
                 self._turned[angle] = f"both{len(self.lines)}"
                 self.lines.append(f"const {own}pair_t {self._turned[angle]} = {own}both({angle});")
             part = (".sin", ".cos") if wide else ("[0]", "[1]")
-            return self.name(self._turned[angle] + part[kind == ca.OP_COS], wide)
-        return self.name(_OPERATIONS[kind].format(*values, own=own, all=", ".join(values)), wide)
+            text = self._turned[angle] + part[kind == ca.OP_COS]
+        else:
+            text = _OPERATIONS[kind].format(*values, own=own, all=", ".join(values))
+        name = f"t{len(self.lines)}"
+        self.lines.append(f"const {'lanes_t' if wide else 'double'} {name} = {text};")
+        return name
 
 
 def lanes_header(lanes: int = 4) -> str:
@@ -86,15 +85,14 @@ def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:
 
     for kind, *of in nodes:
         if kind == ca.OP_CONST:
-            wide, name = False, body.name(repr(of[0]), False)
+            operands = [(repr(of[0]), False)]
         elif kind == ca.OP_INPUT:
-            wide = kinds[of[0]] == "lanes_t"
-            name = body.name(f"in_{inputs[of[0]]}[{of[1]}]", wide)
+            operands = [(f"in_{inputs[of[0]]}[{of[1]}]", kinds[of[0]] == "lanes_t")]
         else:
             operands = [constants[operand] for operand in of]
-            wide = any(is_wide for _, is_wide in operands)
-            name = body.operation(kind, [widened(*one) if wide else one[0] for one in operands], wide)
-        constants.append((name, wide))
+        wide = any(is_wide for _, is_wide in operands)
+        values = [widened(*one) if wide else one[0] for one in operands]
+        constants.append((body.operation(kind, values, wide), wide))
     for to, entry, node in results:
         body.lines.append(f"out_{outputs[to]}[{entry}] = {widened(*constants[node])};")
     text = "\n  ".join(body.lines)
@@ -132,7 +130,7 @@ def pairs_text(function: ca.Function, mirrored: Mapping[str, Sequence[int]]) -> 
         else:
             pairs = [(values[one], values[other]) for one, other in zip(of, of_twin if wide else of, strict=True)]
         operands = [_lanes(*pair, registers) if wide else pair[0] for pair in pairs]
-        name = body.name(operands[0], wide) if kind in _LEAVES else body.operation(kind, operands, wide)
+        name = body.operation(kind, operands, wide)
         values[node] = f"{name}[0]" if wide else name
         if wide:
             values[twin], registers[values[node]] = f"{name}[1]", name
