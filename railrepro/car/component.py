@@ -1,11 +1,10 @@
-"""The car as a component: step it with four motor torques, read named outputs and energies, linearise it.
-`railrepro.simulation.closed_loop` couples it to a control law. Serves the paper's section Simulation Environment."""
+"""The car as a component: step it with four motor torques, read named outputs and energies, linearise it. Serves the
+paper's section Simulation Environment."""
 
 from __future__ import annotations
 
 import copy
 import ctypes
-import math
 import warnings
 from functools import lru_cache
 from itertools import product
@@ -29,18 +28,16 @@ from railrepro.track.table import load_track
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 LARGEST_TORQUE = 1e5
-"""Largest magnitude of a torque command that `SteppedCar.step` accepts (N m); also the largest limit in a vehicle
-file."""
+"""Largest magnitude of a torque command (N m); also the largest torque limit in a vehicle file."""
 LARGEST_SPEED = 125.0
 """Largest initial speed of a `SteppedCar` (m/s)."""
 DERAILED = 0.030
-"""Lateral displacement of a running gear from the track centre, to either side, at which it derails (m)."""
+"""Lateral displacement of a running gear, to either side, at which it derails (m)."""
 LARGEST_STATE = 1e7
-"""Magnitude of a state (SI) from which on `SteppedCar.step` raises an ArithmeticError."""
+"""Magnitude of a state (SI) at which `SteppedCar.step` raises an ArithmeticError."""
 _LATERAL = equations.indices(*(f"{gear}.y" for gear in equations.GEARS))
 ENERGIES = ("mechanical_J", "motor_W", "damping_W", "creep_W")
-"""Keys of `SteppedCar.energies`: mechanical energy (J), motor power, loss in dampers, loss by creep (W)."""
-
+"""Keys of `SteppedCar.energies`: mechanical energy (J); power of the motors, losses in dampers and by creep (W)."""
 
 _SOURCE = Path(__file__).with_name("car.c").read_text(encoding="utf-8")
 _SIZES = {"N_STATE": len(equations.STATES), "N_OUTPUT": len(names(Outputs)), "N_PAR": len(equations.PARAMETERS)}
@@ -51,40 +48,32 @@ _Car = codegen.structure("car_t", _SOURCE, _SIZES)
 
 @codegen.stored
 def _pairs() -> str:
-    """C of the functions of a car, front and rear running gear side by side."""
+    """Write the C of the functions of the car, with front and rear running gear side by side in vector registers."""
     car = equations.car()
     written = (pairs_text(function, equations.mirrored()) for function in (car.coordinates, car.output, car.step))
     return lanes_header(2) + "".join(written)
 
 
 def c_text(*more: ca.Function) -> str:
-    """C source text of the car: its generated functions, then car.c, which calls them.
-
-    Args:
-        more (casadi.Function): Further functions, whose C stands before that of the car.
-    """
+    """Write the C source of the car: the functions `more`, then those of the car, then car.c, which calls these."""
     return codegen.source_text(more) + _pairs() + codegen.PREAMBLE + codegen.defines(_SIZES) + _SOURCE
 
 
 def compile_ahead() -> None:
-    """Have the compiler begin with the car, while this process derives other things. Nothing is done where the car is
-    loaded already."""
+    """Start to compile the car in a thread, unless it is loaded already."""
     if not library.cache_info().currsize:
         cache.build_ahead(c_text())
 
 
 @lru_cache(maxsize=1)
 def library() -> ctypes.CDLL:
-    """Shared object of the car as `ctypes.CDLL`, with the functions of car.c. Compiled once, then cached."""
+    """Load the shared object with the functions of car.c, compiled or from the cache."""
     return ctypes.CDLL(str(cache.build(c_text())))
 
 
 class Linearisation(NamedTuple):
-    """Linear model dx/dt = A x + B u, y = C x + D u of deviations from an operating point, SI units.
-
-    DataFrames a (n, n), b (n, 4), c (m, n), d (m, 4). Rows and columns have the names of the n states `Car.states`, the
-    4 motor torque commands `equations.WHEELS` (N m) and the m outputs `Car.outputs`.
-    """
+    """Linear model dx/dt = A x + B u, y = C x + D u of deviations from an operating point (SI). Rows and columns are
+    labelled by the states `Car.states` (x), torque commands `equations.WHEELS` (u) and outputs `Car.outputs` (y)."""
 
     a: pd.DataFrame
     b: pd.DataFrame
@@ -100,34 +89,32 @@ class SteppedCar:
         speed (float): Initial speed (m/s), above 0 up to 125.
         vehicle (Vehicle, optional): Parameters of the car; default data/vehicle.toml.
         good, poor (str): Adhesion sets of the rail and of its slippery stretches: keys of `vehicle.adhesion`.
-        table (ContactTable, optional): Wheel-rail contact of all wheels; default the table of
-            `vehicle.contact.profile`.
-        substeps (int): Integration steps per millisecond in a `ClosedLoop`; `step` does not use it. On irregular rails
-            the largest unloading of a wheel below 20 Hz is up to 1.3 % too large with one step, 0.1 % with two.
+        table (ContactTable, optional): Contact of wheel and rail; default the table of `vehicle.contact.profile`.
+        substeps (int): Integration steps per millisecond in a `ClosedLoop`; `step` ignores it. On irregular rails one
+            step overestimates the largest unloading of a wheel below 20 Hz by up to 1.3 %, two by 0.1 %.
 
     Attributes:
-        model (Car): The equations, with the names of states and outputs.
-        route, table (Route, ContactTable): Track and wheel-rail contact of the car; they cannot be exchanged.
-        state (ndarray, shape (len(model.states),)): Present state (SI), each up to 1e7 in magnitude; writable.
-        torque (ndarray, shape (4,)): Torque commands of `equations.WHEELS` (N m), positive in traction, each up to 1e5
-            in magnitude; writable.
-        parameters (ndarray, shape (len(equations.PARAMETERS),)): See `equations.parameter_vector`; writable.
+        model (Car): Equations of the car, with the names of states and outputs.
+        route, table (Route, ContactTable): Track and contact table of the car, read only.
+        state (ndarray, shape (len(model.states),)): Present state (SI), each entry up to 1e7 in magnitude.
+        torque (ndarray, shape (4,)): Torque commands in the order of `equations.WHEELS` (N m), traction-positive, each
+            up to 1e5 in magnitude.
+        parameters (ndarray, shape (len(equations.PARAMETERS),)): See `equations.parameter_vector`.
         measured (ndarray, shape (len(model.outputs),)): Values of `model.outputs` at the last call of `measure` (SI).
         c (ctypes.Structure): The struct `car_t` of car.c, which holds the arrays.
         time (float): Simulated time (s).
-        left_rail (str): One sentence on the gear that derailed first, when and where; "" while none has derailed.
+        left_rail (str): Sentence that says which running gear derailed first, when and where; "" while none has.
 
-    A writable array is memory of the compiled car: write to its entries, or assign all of them (`car.state = values`),
-    which copies them in. An assignment raises InputError for a wrong shape or a number out of range. `copy.copy(car)`
-    is a second car in the same state that moves independently. A car cannot be pickled.
+    The arrays `state`, `torque` and `parameters` are memory of the compiled car. Write to their entries, or assign all
+    at once (`car.state = values`). `copy.copy(car)` is a second car in the same state that moves independently.
 
     Raises:
-        InputError: Unknown track or adhesion set, speed out of range, or `route`, `vehicle`, `table` of another class.
+        InputError: An argument, or an array that is assigned, has a wrong type, name or shape or is out of range.
     """
 
-    state = codegen.InC(LARGEST_STATE)
-    torque = codegen.InC(LARGEST_TORQUE)
-    parameters = codegen.InC()
+    state = codegen.in_c("state", LARGEST_STATE)
+    torque = codegen.in_c("torque", LARGEST_TORQUE)
+    parameters = codegen.in_c("parameters")
     route = property(lambda self: self._route)
     table = property(lambda self: self._table)
 
@@ -171,7 +158,7 @@ class SteppedCar:
         self.look_up()
 
     def _hold(self, of_car: ctypes.Structure) -> None:
-        """Take a struct `car_t` as the memory of this car."""
+        """Use a struct `car_t` as the memory of this car."""
         self.c, self._pointer, self._arrays = of_car, ctypes.byref(of_car), codegen.arrays(of_car)
         self.measured = self._arrays["measured"]
 
@@ -182,29 +169,28 @@ class SteppedCar:
         return other
 
     def __deepcopy__(self, _memo: dict) -> SteppedCar:
-        return copy.copy(self)  # what both share does not change
+        return copy.copy(self)  # the tables and the library that both use do not change
 
     def __reduce__(self) -> NoReturn:
         raise TypeError("a SteppedCar cannot be pickled: send its route, speed and vehicle, and make it there")
 
     def look_up(self) -> None:
-        """Renew the rows of the route and of the contact table that the car uses. Call it after setting `state`."""
+        """Look up the rows of the route and of the contact table at `state`. Call it after `state` was written."""
         for _ in range(2):  # contact cells depend on the irregularities in the track cells
             self._library.car_look_up(self._pointer)
 
     def measure(self) -> np.ndarray:
-        """Evaluate `model.outputs` at the present state (SI). Returns `measured`; the next call overwrites it."""
+        """Evaluate `model.outputs` at the present state (SI) into `measured`, and return this array."""
         self._library.car_measure(self._pointer)
         return self.measured
 
     def step(self, torque=None, steps: int = 1, period: float = CONTROL_PERIOD) -> None:
         """Integrate the car over `steps` steps with constant torque commands.
 
-        A warning is issued when |y| of a gear first reaches 30 mm (derailment); the simulation goes on.
+        When |y| of a running gear first reaches 30 mm (derailment), a warning is issued and the simulation goes on.
 
         Args:
-            torque (array_like, shape (4,), optional): Torque commands (N m), each up to 1e5 in magnitude; default
-                `self.torque`.
+            torque (array_like, shape (4,), optional): Torque commands (N m), see the attribute `torque`, the default.
             steps (int): Number of steps.
             period (float): Length of one step (s), above 0 up to 0.01.
 
@@ -212,7 +198,7 @@ class SteppedCar:
             InputError: An argument has a wrong type or is out of range.
             ArithmeticError: A state is not finite or reaches 1e7 (SI). `state` then holds the values before that step.
         """
-        require("steps", steps, between(0, math.inf), whole=True)
+        require("steps", steps, between(0, np.inf), whole=True)
         require("period", period, above(0.0, 10 * CONTROL_PERIOD, "s"))
         if torque is not None:
             self.torque = torque
@@ -224,14 +210,14 @@ class SteppedCar:
             following = self._arrays["next"]
             beyond = ~(np.abs(following) < LARGEST_STATE)
             if beyond.any():
-                found = f"{self.model.states[beyond.argmax()]} = {following[beyond.argmax()]:.3g}"
-                raise ArithmeticError(f"{found} left all bounds {self._at('front')}")
+                value = f"{self.model.states[beyond.argmax()]} = {following[beyond.argmax()]:.3g}"
+                raise ArithmeticError(f"{value} left all bounds {self._at('front')}")
             self.state[:] = following
             self.time = start + (done + 1) * period
-            aside = np.abs(self.state[_LATERAL])
-            if not self.left_rail and aside.max() >= DERAILED:
-                gear = equations.GEARS[aside.argmax()]
-                self.left_rail = f"{gear} gear derailed, |y| = {1e3 * aside.max():.1f} mm {self._at(gear)}"
+            lateral = np.abs(self.state[_LATERAL])
+            if not self.left_rail and lateral.max() >= DERAILED:
+                gear = equations.GEARS[lateral.argmax()]
+                self.left_rail = f"{gear} gear derailed, |y| = {1e3 * lateral.max():.1f} mm {self._at(gear)}"
                 warnings.warn(self.left_rail, stacklevel=2)
 
     def _at(self, gear: str) -> str:
@@ -239,29 +225,27 @@ class SteppedCar:
 
     @property
     def outputs(self) -> dict[str, float]:
-        """Dict at the present state (SI): name in `model.outputs`, such as "front.y" or "front_le.N" -> value."""
+        """Outputs at the present state (SI) as a dict: name in `model.outputs`, such as "front.y" -> value."""
         return dict(zip(self.model.outputs, self.measure().tolist(), strict=True))
 
     @property
     def energies(self) -> dict[str, float]:
-        """Dict at present: keys "mechanical_J" (energy), "motor_W" (power), "damping_W", "creep_W" (power lost)."""
+        """Energy and powers at the present state as a dict with the keys `ENERGIES`."""
         return dict(zip(ENERGIES, np.array(self.model.energy(*self.inputs())).ravel().tolist(), strict=True))
 
     def inputs(self) -> tuple[np.ndarray, ...]:
-        """Copies of the arguments x, u, rows, contacts, par of the functions of `equations.Car` at the present
-        state."""
+        """Return copies of the arguments (x, u, rows, contacts, par) of the functions of `Car` at the present state."""
         self._library.car_look_up(self._pointer)
         rows, contacts = self._arrays["rows"].T, self._arrays["contacts"].T
         return tuple(a.copy() for a in (self.state, self.torque, rows, contacts, self.parameters))
 
     def linearise(self) -> Linearisation:
-        """`Linearisation` at the present state and torque commands; rows of the route and of the contact table count as
-        constant."""
+        """Linearise the car at the present state and torque commands, with the rows of the tables held constant."""
         car, inputs = self.model, self.inputs()
         x, u = ca.SX.sym("x", len(car.states)), ca.SX.sym("u", len(equations.WHEELS))
-        rate, output = car.rate(x, u, *inputs[2:]), car.output(x, u, *inputs[2:])
-        jacobians = [ca.jacobian(f, v) for f, v in product((rate, output), (x, u))]
+        results = car.rate(x, u, *inputs[2:]), car.output(x, u, *inputs[2:])
+        jacobians = [ca.jacobian(result, variable) for result, variable in product(results, (x, u))]
         matrices = ca.Function("linear", [x, u], jacobians)(*inputs[:2])
         labels = product((car.states, car.outputs), (car.states, equations.WHEELS))
-        found = zip(matrices, labels, strict=True)
-        return Linearisation(*(pd.DataFrame(m.full(), list(row), list(column)) for m, (row, column) in found))
+        tables = zip(matrices, labels, strict=True)
+        return Linearisation(*(pd.DataFrame(m.full(), list(row), list(column)) for m, (row, column) in tables))

@@ -1,11 +1,9 @@
-"""The multibody car in place of SIMPACK: 22 degrees of freedom on independently rotating wheels.
+"""Equations of motion of the multibody car, which stands in for SIMPACK: 22 degrees of freedom.
 
-Bodies are the car body, two wheel carriers (6 degrees of freedom each) and four wheels (spin). Velocities are
-absolute, in track-frame components; angular velocities are absolute, in body axes. With these quasi-velocities
-centrifugal, Coriolis, cant, inclination and gyroscopic terms are exact and no second derivative of the track is needed.
-
-x forward, y right, z down; yaw to the right, pitch nose up, roll right side down. Serves the paper's section Simulation
-Environment.
+Bodies are the car body and two wheel carriers (6 degrees of freedom each) and four wheels (spin). Velocities are
+absolute in track-frame components, angular velocities absolute in body axes. With these quasi-velocities centrifugal,
+Coriolis, cant, inclination and gyroscopic terms are exact without a second derivative of the track. x forward, y right,
+z down; yaw to the right, pitch nose up, roll right side down. Serves the paper's section Simulation Environment.
 """
 
 from __future__ import annotations
@@ -37,8 +35,7 @@ BODIES = ("body", *GEARS)
 
 @dataclass(frozen=True)
 class CarState:
-    """Coordinates of car body, front and rear running gear; wheel speeds `w` (rad/s), motor torques `tau` (N m),
-    traction-positive."""
+    """State of the car: its bodies, speeds `w` of the wheels (rad/s), traction-positive motor torques `tau` (N m)."""
 
     body: Coordinates
     front: Coordinates
@@ -49,14 +46,14 @@ class CarState:
 
 STATES = names(CarState)
 INDEX = {name: i for i, name in enumerate(STATES)}
-"""Index of each state in the state vector by name."""
+"""Name of a state -> its index in the state vector."""
 FLOOR = {"floor_front": 0.5, "floor_centre": 0.0, "floor_rear": -0.5}
-"""Points of the car body floor: distance ahead of the body's centre of gravity over the distance of the gears (-)."""
+"""Points of the car body floor -> distance ahead of the centre of gravity, as a fraction of the gear spacing (-)."""
 
 
 @dataclass(frozen=True)
 class Rails:
-    """Adhesion sets of the rail and of its slippery stretches."""
+    """Adhesion sets of the rail (`good`) and of its slippery stretches (`poor`)."""
 
     good: AdhesionSet
     poor: AdhesionSet
@@ -67,7 +64,7 @@ _GRAVITY = dict(notes(Environment))["gravity"]
 
 @dataclass(frozen=True)
 class CarParameters:
-    """Run-time parameters of the car (SI), numbers or symbols: `par` in the functions of this package."""
+    """Run-time parameters of the car (SI), as numbers or symbols."""
 
     body: CarBody
     gear: Gear
@@ -81,19 +78,15 @@ class CarParameters:
 
 PARAMETERS = names(CarParameters)
 SLIP_FLOOR = 1.0
-"""Smallest speed by which the output `sx` divides the sliding speed (m/s)."""
+"""Lower limit of the speed by which the slip `sx` divides the sliding speed (m/s)."""
 HOLDING_SPEED = 0.2
-"""Circumferential wheel speed below which the lag of a braking torque slows down, to hold the wheel at rest (m/s)."""
+"""Circumferential wheel speed below which a braking torque follows its command more slowly, to hold the wheel (m/s)."""
 
 
 def mirrored() -> dict[str, list[int]]:
-    """Index permutations that exchange front and rear running gear, for the argument `mirrored` of `lanes.pairs_text`.
-
-    Returns:
-        dict of str to list of int: One list for each of the inputs "x", "u", "rows", "contacts" of the functions of
-            `Car`. Element i of a list is the index of the same quantity at the other gear, or i for the car body.
-            Matrices count column by column.
-    """
+    """Return the permutations that exchange front and rear running gear, for the argument `mirrored` of `pairs_text`.
+    Each of the inputs "x", "u", "rows", "contacts" of the functions of `Car` has a list. Its element i is the index of
+    the same quantity at the other running gear, or i for the car body. Matrices count column by column."""
     at, wheels = unpack(CarState, range(len(STATES))), [2, 3, 0, 1]
     exchanged = CarState(at.body, at.rear, at.front, [at.w[i] for i in wheels], [at.tau[i] for i in wheels])
     rows = np.arange(len(BODIES) * len(route.COLUMNS)).reshape(len(BODIES), -1)[[0, 2, 1]]
@@ -103,19 +96,19 @@ def mirrored() -> dict[str, list[int]]:
 
 
 def indices(*names: str) -> list[int]:
-    """Positions in the state vector of the states with these names, which are entries of `STATES`."""
+    """Return the indices of the states with these names in the state vector."""
     return [INDEX[name] for name in names]
 
 
 def parameter_vector(vehicle: Vehicle, good: str = "dry", poor: str = "poor") -> np.ndarray:
-    """Run-time parameters of the car as a vector in the order of `PARAMETERS` (SI). `good` and `poor` are keys of
-    `vehicle.adhesion`, for the rail and for its slippery stretches. Another name raises InputError."""
+    """Return the run-time parameters of the car as a vector in the order of `PARAMETERS` (SI). `good` and `poor` are
+    keys of `vehicle.adhesion`, see `Rails`. InputError for another name."""
     for name in (good, poor):
         if not isinstance(name, str) or name not in vehicle.adhesion:
             raise InputError(f"adhesion set {name!r} is not known; there are {list(vehicle.adhesion)}")
-    sets = vehicle.adhesion[good], vehicle.adhesion[poor]
-    groups = vehicle.body, vehicle.gear, vehicle.wheel, vehicle.suspension, vehicle.drive, vehicle.contact, *sets
-    return np.array([*(value for of in groups for value in pack(of)), vehicle.gravity], dtype=float)
+    groups = vehicle.body, vehicle.gear, vehicle.wheel, vehicle.suspension, vehicle.drive, vehicle.contact
+    rails = Rails(vehicle.adhesion[good], vehicle.adhesion[poor])
+    return np.array(pack(CarParameters(*groups, rails, vehicle.gravity)), dtype=float)
 
 
 @dataclass(frozen=True)
@@ -126,15 +119,15 @@ class Car:
     - x: state in the order of `states`;
     - u: torque commands of the four `WHEELS` (N m);
     - rows: row of the route at each of the 3 `BODIES`, shape (len(route.COLUMNS), 3);
-    - contacts: row of the contact table for each wheel, shape (len(CELL_COLUMNS), 4);
+    - contacts: row of the contact table at each of the 4 wheels, shape (len(CELL_COLUMNS), 4);
     - par: parameters in the order of `PARAMETERS`.
 
     Attributes:
         states, outputs (tuple of str): Names of the entries of the state and of the output vector.
         rate (Function): (x, u, rows, contacts, par) -> dx/dt.
         step (Function): (x, u, rows, contacts, par, h) -> state after one integration step of length h (s) by Rodas3.
-        coordinates (Function): (x, rows, par) -> where to look up the rows, shape (7, 1): track coordinate of 3 bodies,
-            then shift of 4 wheels towards the flange (m). Of `rows` only irregularities count.
+        coordinates (Function): (x, rows, par) -> arguments of the tables, shape (7, 1): track coordinate of the 3
+            bodies, then shift of the 4 wheels towards the flange (m). Of `rows` only irregularities count.
         output (Function): (x, u, rows, contacts, par) -> values of `outputs`.
         energy (Function): (x, u, rows, contacts, par) -> the four values of `component.ENERGIES`.
     """
@@ -149,7 +142,7 @@ class Car:
 
 
 class _Elements:
-    """Bodies of a car and what acts between them; wheels, their speeds and torques in the order of `WHEELS`."""
+    """Bodies of the car, its suspensions and wheel-rail contacts, with the speeds and torques of the wheels."""
 
     def __init__(self, state: CarState, rows: ca.SX, contacts: ca.SX, par: CarParameters, stages: Stages):
         states = zip((state.body, state.front, state.rear), ca.horzsplit(rows), strict=True)
@@ -163,7 +156,7 @@ class _Elements:
 
 @stored
 def car() -> Car:
-    """Make the `Car` with the equations of motion. They are derived once, then read from disk."""
+    """Derive the equations of motion, or read them from disk."""
     (x, state), u = symbols(CarState, "x"), ca.SX.sym("u", len(WHEELS))
     rows = ca.SX.sym("rows", len(route.COLUMNS), len(BODIES))
     contacts = ca.SX.sym("contacts", len(CELL_COLUMNS), len(WHEELS))
@@ -171,7 +164,6 @@ def car() -> Car:
     elements = _Elements(state, rows, contacts, par, stages)
     staged, felt_force, felt_rotation = _motion(elements, ca.vertsplit(u), par)
     rate = ca.cse(stages.resolve(staged))
-
     x_next = rodas3(rate, stages.jacobian(staged, x), x, h)
     outputs = _outputs(elements, _floor(elements.body, felt_force, felt_rotation, par))
     energies = _energies(elements, par)
@@ -184,7 +176,7 @@ def car() -> Car:
         states=STATES,
         rate=ca.Function("car_rate", inputs, [rate], arguments, ["dx"]),
         step=share_reciprocals(step),
-        coordinates=ca.Function("car_coordinates", [x, rows, par_], [look_up], ["x", "rows", "par"], ["places"]),
+        coordinates=ca.Function("car_coordinates", [x, rows, par_], [look_up], ["x", "rows", "par"], ["coordinates"]),
         output=ca.Function("car_output", inputs, [y], arguments, ["y"], cse),
         energy=ca.Function("car_energy", inputs, [energy], arguments, ["energies"], cse),
         outputs=names(Outputs),
@@ -192,7 +184,7 @@ def car() -> Car:
 
 
 def _motion(elements: _Elements, commands: list, par: CarParameters) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Derivatives of the states, and force per mass and angular acceleration that the car body feels."""
+    """Return the derivatives of the states, the acceleration that the car body feels, and its angular acceleration."""
     speeds, torques, body = elements.speeds, elements.torques, elements.body
     gravity: Any = ca.vertcat(0, 0, par.gravity)
     carried, moment = ca.SX.zeros(3), ca.SX.zeros(3)
@@ -213,7 +205,7 @@ def _motion(elements: _Elements, commands: list, par: CarParameters) -> tuple[ca
 
 
 def _gear_motion(g: int, elements: _Elements, gravity: ca.SX, par: CarParameters) -> ca.SX:
-    """Derivatives of the states of a running gear's carrier."""
+    """Compute the derivatives of the states of the wheel carrier of running gear number `g`."""
     gear, suspension, of_gear = elements.gears[g], elements.suspensions[g], slice(2 * g, 2 * g + 2)
     mass, inertia = _inertia(par.gear)
     force = mass * gear.section.rotation.T @ gravity + gear.rotation @ suspension.force_on_lower
@@ -226,22 +218,23 @@ def _gear_motion(g: int, elements: _Elements, gravity: ca.SX, par: CarParameters
 
 
 def _inertia(of: CarBody | Gear) -> tuple[Any, Any]:
-    """Mass (kg) and principal moments of inertia (kg m2, shape (3, 1)) of a body."""
+    """Return mass (kg) and principal moments of inertia (kg m2, shape (3, 1)) of a body."""
     return of.mass, ca.vertcat(of.inertia_x, of.inertia_y, of.inertia_z)
 
 
 def _torque_rate(command: ca.SX, speed: ca.SX, torque: ca.SX, par: CarParameters) -> ca.SX:
-    """Lag of a motor torque (N m/s); at rest it holds the wheel. Source: Dahl 1968, A Solid Friction Model."""
+    """Compute the derivative of a motor torque (N m/s): first-order lag behind the command within the limit of the
+    drive. A braking torque holds the wheel at rest. Source: Dahl 1968, A Solid Friction Model."""
     limit = par.drive.limit(speed)
-    # by comparison, as fmin and fmax would make a limit of a command that is no number
+    # comparisons, since fmin and fmax would turn NaN into a limit
     limited = ca.if_else(command > limit, limit, ca.if_else(command < -limit, -limit, command))
-    turning = ca.if_else(limited < 0, ca.fmin(ca.fabs(speed) * par.wheel.radius / HOLDING_SPEED, 1), 1)
+    fraction = ca.if_else(limited < 0, ca.fmin(ca.fabs(speed) * par.wheel.radius / HOLDING_SPEED, 1), 1)
     wanted = ca.if_else(speed < 0, ca.fabs(limited), limited)  # a positive command drives forward at any speed
-    return turning * (wanted - torque) / par.drive.lag
+    return fraction * (wanted - torque) / par.drive.lag
 
 
 def _outputs(elements: _Elements, floor: list) -> list[ca.SX]:
-    """Entries of `Outputs` in their order."""
+    """Compute the values of `Outputs` in their order."""
     gears = [
         GearOutputs(
             p=gear.s,
@@ -279,26 +272,21 @@ def _outputs(elements: _Elements, floor: list) -> list[ca.SX]:
 
 
 def _floor(body: Body, force: ca.SX, rotation: ca.SX, par: CarParameters) -> list:
-    """Accelerations of the points of the floor. Source: Goldstein, Poole and Safko 2002, Classical Mechanics, ch. 4."""
-    out = []
-    for position in FLOOR.values():
-        lever = ca.vertcat(position * par.body.gear_spacing, 0, par.body.cg_height - par.body.floor_height)
-        swing = ca.cross(rotation, lever) + ca.cross(body.w, ca.cross(body.w, lever))
-        out.append(FloorOutputs(*ca.vertsplit(force + swing)))
-    return out
+    """Compute the accelerations of the points of the floor. Source: Goldstein, Poole and Safko 2002, Classical
+    Mechanics, ch. 4."""
+    below = par.body.cg_height - par.body.floor_height
+    levers = [ca.vertcat(ahead * par.body.gear_spacing, 0, below) for ahead in FLOOR.values()]
+    swings = [ca.cross(rotation, lever) + ca.cross(body.w, ca.cross(body.w, lever)) for lever in levers]
+    return [FloorOutputs(*ca.vertsplit(force + swing)) for swing in swings]
 
 
 def _energies(elements: _Elements, par: CarParameters) -> list[ca.SX]:
-    """Mechanical energy, motor power and losses, for the energy balance."""
+    """Compute energy, power of the motors, and losses in dampers and by creep: `component.ENERGIES`."""
     speeds, torques, wheels = elements.speeds, elements.torques, elements.wheels
     forces: list[Any] = [*elements.suspensions, *wheels]
     energy = sum(force.energy for force in forces)
-    parts: list[tuple[Body, CarBody | Gear]] = [
-        (elements.body, par.body),
-        *((gear, par.gear) for gear in elements.gears),
-    ]
-    for body, of in parts:
-        mass, inertia = _inertia(of)
+    for body in (elements.body, *elements.gears):
+        mass, inertia = _inertia(par.body if body is elements.body else par.gear)
         energy += mass * (ca.sumsqr(body.v) / 2 - par.gravity * body.position[2])
         energy += ca.dot(inertia, body.w**2) / 2
     energy += par.wheel.spin_inertia * ca.sumsqr(ca.vertcat(*speeds)) / 2
@@ -310,12 +298,9 @@ def _energies(elements: _Elements, par: CarParameters) -> list[ca.SX]:
 
 
 def rest(table: ContactTable) -> ca.Function:
-    """CasADi function of the initial state: steady rolling on straight level track, wheels centred, front gear at 0 m.
-
-    It maps (parameters in the order of `PARAMETERS`, speed (m/s)) to the state in the order of `STATES` (SI). `table`
-    is the wheel-rail contact, from which radius and sinking of the wheels follow. Source: Johnson 1985, Contact
-    Mechanics, section 4.2 (approach of the wheel under its load).
-    """
+    """Make the CasADi function (parameters, speed (m/s)) -> initial state: steady rolling on straight level track,
+    wheels centred, front running gear at 0 m. Parameters have the order of `PARAMETERS`, states that of `STATES` (SI).
+    Rolling radius and approach of the wheels are from the table. Source: Johnson 1985, Contact Mechanics, sec. 4.2."""
     return _rest(tuple(table.cells()[table.frame["shift_m"].abs().argmin()].tolist()))
 
 
@@ -327,12 +312,9 @@ def _rest(centred: tuple[float, ...]) -> ca.Function:
     cos_angle = 1 / np.hypot(1, contact["slope"])
     load = (vehicle.body.mass / 4 + vehicle.gear.mass / 2) * vehicle.gravity / cos_angle
     drop = (load / contact["normal_stiffness"]) ** (2 / 3) / cos_angle
-    half, radius = vehicle.body.gear_spacing / 2, contact["effective_radius"]
-    sink, axle = vehicle.wheel.radius - radius + drop, drop - radius
-
-    def rolling(s: ca.SX | float, z: ca.SX) -> Coordinates:
-        return Coordinates(s, 0.0, z, 0.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0, 0.0, 0.0)
-
-    bodies = rolling(-half, sink - vehicle.body.cg_height), rolling(0.0, axle), rolling(-(2 * half), axle)
-    wheels = [speed / (contact["rolling_radius"] - drop)] * len(WHEELS), [0.0] * len(WHEELS)
-    return ca.Function("car_rest", [par, speed], [ca.densify(ca.vertcat(*pack(CarState(*bodies, *wheels))))])
+    half, axle = vehicle.body.gear_spacing / 2, drop - contact["effective_radius"]
+    body = vehicle.wheel.radius - contact["effective_radius"] + drop - vehicle.body.cg_height
+    state = dict.fromkeys(STATES, 0.0) | dict.fromkeys((f"{name}.vx" for name in BODIES), speed)
+    state |= {"body.s": -half, "rear.s": -(2 * half), "body.z": body, "front.z": axle, "rear.z": axle}
+    state |= dict.fromkeys((f"w.{wheel}" for wheel in WHEELS), speed / (contact["rolling_radius"] - drop))
+    return ca.Function("car_rest", [par, speed], [ca.densify(ca.vertcat(*state.values()))])

@@ -1,8 +1,8 @@
-"""Rodas3 with an unrolled sparse LU: one linearly implicit step as a single CasADi expression.
+"""One step of the integrator Rodas3 as a CasADi expression, with its Jacobian and a sparse LU factorisation.
 
-The wheel-spin creep lag shrinks with speed (0.2 ms at 40 km/h, towards zero at standstill), so explicit steps of 1 ms
-fail; this L-stable method of order 3 takes one Jacobian and one factorisation per step at every speed. Source: Sandu et
-al., Atmospheric Environment 31 (1997) 3459 (Rodas3); scaled as in Hairer and Wanner, Solving ODEs II.
+The time constant of the spin of a wheel against creep falls with speed, to 0.2 ms at 40 km/h and to zero at standstill,
+so explicit steps of 1 ms fail. Rodas3 is linearly implicit, L-stable and of order 3. Source: Sandu et al., Atmospheric
+Environment 31 (1997) 3459 (Rodas3); scaled as in Hairer and Wanner, Solving ODEs II.
 """
 
 from __future__ import annotations
@@ -12,50 +12,42 @@ import numpy as np
 
 
 class Stages:
-    """Symbols that stand for intermediate results of a large expression, so that Jacobians follow the chain rule.
-    Differentiating a force law by its few arguments is much cheaper than by all states."""
+    """Symbols for intermediate results of a large expression, so that its Jacobian follows the chain rule: a force law
+    is differentiated by its few arguments, which costs much less than by all states."""
 
     def __init__(self) -> None:
-        self._symbols: list[ca.SX] = []
-        self._definitions: list[ca.SX] = []
+        self._held: list[tuple[ca.SX, ca.SX]] = []
 
     def hold(self, *expressions: ca.SX) -> list[ca.SX]:
-        """Replace expressions by new symbols of the same shapes, return these, and remember what each stands for. The
-        expressions may contain the state and symbols from earlier calls."""
-        definition = ca.vertcat(*(ca.vec(expression) for expression in expressions))
-        symbols = ca.SX.sym(f"stage{len(self._symbols)}", definition.numel())
-        self._symbols.append(symbols)
-        self._definitions.append(definition)
+        """Return new symbols that stand for these expressions, with the same shapes. The expressions may contain the
+        state and symbols from earlier calls."""
+        definition = ca.vertcat(*map(ca.vec, expressions))
+        symbols = ca.SX.sym(f"stage{len(self._held)}", definition.numel())
+        self._held.append((symbols, definition))
         limits = np.cumsum([0, *(expression.numel() for expression in expressions)])
         parts = ca.vertsplit(symbols, limits.tolist())
         return [ca.reshape(part, *expression.shape) for part, expression in zip(parts, expressions, strict=True)]
 
     def resolve(self, expression: ca.SX) -> ca.SX:
-        """Expression in which each symbol that `hold` returned is replaced by the expression that it stands for."""
-        for symbols, definition in zip(reversed(self._symbols), reversed(self._definitions), strict=True):
+        """Replace each symbol from `hold` in an expression by the expression that it stands for."""
+        for symbols, definition in reversed(self._held):
             expression = ca.substitute(expression, symbols, definition)
         return expression
 
     def jacobian(self, expression: ca.SX, x: ca.SX) -> ca.SX:
-        """Total derivative of an expression (n, 1) by the symbols x (m, 1), shape (n, m), after `resolve`."""
+        """Differentiate an expression (n, 1) by the symbols x (m, 1): shape (n, m), resolved, by the chain rule."""
         totals: list[ca.SX] = []
-        for k, definition in enumerate((*self._definitions, expression)):
+        for definition in (*(definition for _, definition in self._held), expression):
             total = ca.jacobian(definition, x)
-            for symbols, inner in zip(self._symbols[:k], totals, strict=False):
+            for (symbols, _), inner in zip(self._held, totals, strict=False):
                 total += ca.jacobian(definition, symbols) @ inner
             totals.append(total)
         return self.resolve(totals[-1])
 
 
 def rodas3(f: ca.SX, jacobian: ca.SX, x: ca.SX, h: ca.SX) -> ca.SX:
-    """State after one Rodas3 step of x' = f(x), shape (n, 1); the local error is O(h^4).
-
-    Args:
-        f (SX, shape (n, 1)): Right-hand side, an expression in `x`.
-        jacobian (SX, shape (n, n)): df/dx, an expression in `x`.
-        x (SX, shape (n, 1)): State, symbols only.
-        h (SX or float): Step (s).
-    """
+    """Integrate x' = f(x) over one step h: the state after it, shape (n, 1), with a local error O(h^4). The right-hand
+    side f (n, 1) and its Jacobian df/dx (n, n) are expressions in the symbols x (n, 1)."""
     solve = factorise(2 / h * ca.SX.eye(x.numel()) - jacobian)
     k1 = solve(f)
     k2 = solve(f + 4 / h * k1)
@@ -65,11 +57,8 @@ def rodas3(f: ca.SX, jacobian: ca.SX, x: ca.SX, h: ca.SX) -> ca.SX:
 
 
 def factorise(matrix: ca.SX):
-    """Factorise a sparse matrix A (n, n) as an expression, and return a function that solves A x = b for b (n, 1).
-
-    LU without pivoting: A has to be 2/h I - J with a small h, so that its blocks are diagonally dominant. Source:
-    Markowitz 1957 (order of the pivots).
-    """
+    """Factorise a sparse matrix A (n, n) of expressions; returns a function b (n, 1) -> x that solves A x = b. LU with
+    pivots on the diagonal, which needs A = 2/h I - J with a small h. Source: Markowitz 1957 (order of the pivots)."""
     n = matrix.shape[0]
     rows: list[dict] = [{} for _ in range(n)]
     for column in range(n):
@@ -81,15 +70,12 @@ def factorise(matrix: ca.SX):
         pivot = min(remaining, key=lambda i: (_fill_in(rows, remaining, i), coupled[i], i))
         remaining.remove(pivot)
         order.append(pivot)
-        inverse[pivot] = 1 / rows[pivot][pivot]
+        inverse[pivot] = 1 / rows[pivot].pop(pivot)
         for i in sorted(remaining):
-            if pivot not in rows[i]:
-                continue
-            factor = rows[i].pop(pivot) * inverse[pivot]
-            lower[i, pivot] = factor
-            for column, value in rows[pivot].items():
-                if column != pivot:
-                    rows[i][column] = rows[i].get(column, 0) - factor * value
+            if pivot in rows[i]:
+                lower[i, pivot] = rows[i].pop(pivot) * inverse[pivot]
+                for column, value in rows[pivot].items():
+                    rows[i][column] = rows[i].get(column, 0) - lower[i, pivot] * value
 
     def solve(right_hand_side: ca.SX) -> ca.SX:
         b = ca.vertsplit(right_hand_side)
@@ -100,8 +86,7 @@ def factorise(matrix: ca.SX):
         for pivot in reversed(order):
             total = b[pivot]
             for column, value in rows[pivot].items():
-                if column != pivot:
-                    total = total - value * b[column]
+                total = total - value * b[column]
             b[pivot] = total * inverse[pivot]
         return ca.vertcat(*b)
 
@@ -109,7 +94,5 @@ def factorise(matrix: ca.SX):
 
 
 def _fill_in(rows: list[dict], remaining: set[int], i: int) -> int:
-    """Markowitz count of pivot i among the remaining rows."""
-    in_row = sum(1 for column in rows[i] if column != i)
-    in_column = sum(1 for j in remaining if j != i and i in rows[j])
-    return in_row * in_column
+    """Count the other entries in the row of pivot i times those in its column, among the remaining rows (Markowitz)."""
+    return (len(rows[i]) - 1) * (sum(i in rows[j] for j in remaining) - 1)

@@ -1,5 +1,5 @@
-"""Where the bodies of the car are and how they move: rotations, the track section at a body, the body in it. Serves the
-paper's section Coordinate Frames, for the plant."""
+"""Kinematics of the car: rotations, the track at a body, position and motion of the body. Serves the paper's section
+Coordinate Frames, for the plant."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from railrepro.track.irregularity import CHANNELS
 
 @dataclass(frozen=True)
 class Coordinates:
-    """State of a body."""
+    """State of a rigid body."""
 
     s: Annotated[Scalar, "m", "track coordinate"]
     y: Annotated[Scalar, "m", "lateral position in the track frame at s"]
@@ -35,8 +35,7 @@ COORDINATES = names(Coordinates)
 
 
 def rotation(axis: str, angle: ca.SX) -> ca.SX:
-    """Rotation matrix (3, 3) about the axis "x", "y" or "z" by an angle (rad). It converts vector components from the
-    turned frame to the original one."""
+    """Return the matrix (3, 3) of a rotation about "x", "y" or "z" by an angle (rad), from turned to original frame."""
     c, s = ca.cos(angle), ca.sin(angle)
     entries: Any = {
         "x": [[1, 0, 0], [0, c, -s], [0, s, c]],
@@ -47,12 +46,12 @@ def rotation(axis: str, angle: ca.SX) -> ca.SX:
 
 
 def orientation(yaw: ca.SX, pitch: ca.SX, roll: ca.SX) -> ca.SX:
-    """Rotation matrix Rz(yaw) Ry(pitch) Rx(roll) of angles in rad, shape (3, 3). Source: eq. (1)."""
+    """Return the rotation matrix Rz(yaw) Ry(pitch) Rx(roll) of angles in rad, shape (3, 3). Source: eq. (1)."""
     return rotation("z", yaw) @ rotation("y", pitch) @ rotation("x", roll)
 
 
 class Section:
-    """Track at a coordinate s, as CasADi expressions of s. Source: eq. (3), with the rotation of eq. (1).
+    """The track at a coordinate, as CasADi expressions. Source: eq. (3), with the rotation of eq. (1).
 
     Args:
         s (SX): Track coordinate (m).
@@ -60,27 +59,26 @@ class Section:
 
     Attributes:
         psi, phi, eps (SX): Heading, cant angle and inclination of the track (rad).
-        kappa, dphi, deps (SX): Derivatives of psi, phi, eps over s (rad/m).
+        kappa, dphi, deps (SX): Derivatives of psi, phi, eps with respect to s (rad/m).
         rotation (SX, shape (3, 3)): From track-frame to inertial components.
         position (SX, shape (3, 1)): Origin of the track frame in inertial components (m).
-        turn_rate (SX, shape (3, 1)): Rotation of the track frame per metre, in its own axes (rad/m).
+        curvature (SX, shape (3, 1)): Rotation of the track frame per metre of track, in its own axes (rad/m).
         lateral, vertical, gauge, crosslevel (SX): Irregularities (m; crosslevel rad).
-        irregularity_rates (dict): Name of an irregularity -> its derivative over s.
-        poor (dict): Rail "le" or "ri" -> weight (SX, 0 to 1) of the poor adhesion set; the good set has the rest.
+        irregularity_rates (dict): Name of an irregularity -> its derivative with respect to s.
+        poor (dict): Rail "le" or "ri" -> weight (SX, 0 to 1) of the poor adhesion set against the good one.
     """
 
     def __init__(self, s: ca.SX, row: ca.SX):
         cell = named(route.COLUMNS, row)
-        d = s - cell["p"]
         self.psi, self.kappa, self.phi, self.dphi, self.eps, self.deps = route.track_in(cell, s)
         self.rotation = orientation(self.psi, self.eps, self.phi)
-        self.position = ca.vertcat(cell["x"], cell["y"], cell["z"]) + self._travel(cell, d)
+        self.position = ca.vertcat(cell["x"], cell["y"], cell["z"]) + self._travel(cell, s - cell["p"])
         irregularity = {name: route.irregularity_in(cell, name, s) for name in CHANNELS}
         self.lateral, self.vertical, self.crosslevel, self.gauge = (value for value, _ in irregularity.values())
         self.irregularity_rates = {name: slope for name, (_, slope) in irregularity.items()}
         self.poor = {"le": cell["poor_le"], "ri": cell["poor_ri"]}
         sin, cos = ca.sin, ca.cos
-        self.turn_rate = ca.vertcat(
+        self.curvature = ca.vertcat(
             self.dphi - sin(self.eps) * self.kappa,
             cos(self.phi) * self.deps + sin(self.phi) * cos(self.eps) * self.kappa,
             -sin(self.phi) * self.deps + cos(self.phi) * cos(self.eps) * self.kappa,
@@ -88,7 +86,7 @@ class Section:
 
     @staticmethod
     def _travel(cell: dict[str, ca.SX], d: ca.SX) -> ca.SX:
-        """Displacement inside the cell: third-order Taylor expansion of the integral of the tangent."""
+        """Expand the displacement (m) from the start of the cell to d (m) further in a Taylor series of third order."""
         q = ca.SX.sym("q")
         psi = cell["psi"] + (cell["kappa"] + cell["dkappa"] * q / 2) * q
         eps = cell["eps"] + cell["deps"] * q
@@ -100,18 +98,15 @@ class Section:
 
 
 class Body(Coordinates):
-    """Position and motion of one rigid body, as CasADi expressions; its fields are those of `Coordinates`.
-
-    Args:
-        state (Coordinates): State of the body.
-        row (SX): Row of the route at its coordinate s.
+    """Position and motion of a rigid body with the state `state`, as CasADi expressions; `row` is its row of the route.
 
     Attributes:
+        s, y, z, psi, pitch, phi, vx, vy, vz, wx, wy, wz (SX): The state, see `Coordinates`.
         section (Section): The track at s.
         rotation, attitude (SX, shape (3, 3)): From body axes to the track frame; from body axes to the inertial frame.
         position (SX, shape (3, 1)): Centre of gravity in inertial components (m).
         v, w (SX, shape (3, 1)): Velocity in track-frame components (m/s); angular velocity in body axes (rad/s).
-        turn (SX, shape (3, 1)): Angular velocity of the track frame at the body, in its own axes (rad/s).
+        frame_rate (SX, shape (3, 1)): Angular velocity of the track frame at the body, in track-frame axes (rad/s).
         sdot (SX): Speed along the track (m/s).
         rates (dict): Name of a coordinate (s, y, z, psi, pitch, phi) -> its time derivative (m/s, rad/s).
 
@@ -124,15 +119,15 @@ class Body(Coordinates):
         self.rotation = orientation(self.psi, self.pitch, self.phi)
         self.v: Any = ca.vertcat(self.vx, self.vy, self.vz)
         self.w: Any = ca.vertcat(self.wx, self.wy, self.wz)
-        turn_rate = self.section.turn_rate
-        self.sdot = self.vx / (1 + turn_rate[1] * self.z - turn_rate[2] * self.y)
-        self.turn = turn_rate * self.sdot
-        relative = self.w - self.rotation.T @ self.turn
+        curvature = self.section.curvature
+        self.sdot = self.vx / (1 + curvature[1] * self.z - curvature[2] * self.y)
+        self.frame_rate = curvature * self.sdot
+        relative = self.w - self.rotation.T @ self.frame_rate
         psidot = (relative[1] * ca.sin(self.phi) + relative[2] * ca.cos(self.phi)) / ca.cos(self.pitch)
         self.rates = {
             "s": self.sdot,
-            "y": self.vy + self.turn[0] * self.z,
-            "z": self.vz - self.turn[0] * self.y,
+            "y": self.vy + self.frame_rate[0] * self.z,
+            "z": self.vz - self.frame_rate[0] * self.y,
             "psi": psidot,
             "pitch": relative[1] * ca.cos(self.phi) - relative[2] * ca.sin(self.phi),
             "phi": relative[0] + psidot * ca.sin(self.pitch),
@@ -141,18 +136,17 @@ class Body(Coordinates):
         self.position = self.section.position + self.section.rotation @ ca.vertcat(0, self.y, self.z)
 
     def derivatives(self, force: ca.SX, moment: ca.SX, mass: ca.SX, inertia: ca.SX, spin: ca.SX | float = 0) -> ca.SX:
-        """Time derivatives of `COORDINATES` by the equations of Newton and Euler (SI), shape (12, 1).
+        """Compute the time derivatives of `COORDINATES` by the equations of Newton and Euler (SI), shape (12, 1).
 
         Args:
             force (SX, shape (3, 1)): Force in track-frame components (N).
             moment (SX, shape (3, 1)): Moment about the centre of gravity, in body axes (N m).
-            mass (SX): Mass (kg).
-            inertia (SX, shape (3, 1)): Principal moments of inertia (kg m2).
+            mass, inertia (SX, shape (3, 1)): Mass (kg) and principal moments of inertia (kg m2).
             spin (SX): Angular momentum of rotors on the body about its y axis (kg m2/s).
 
         Source: Wittenburg 2008, Dynamics of Multibody Systems (gyrostat).
         """
         momentum = inertia * self.w + ca.vertcat(0, spin, 0)
-        rates = self.rates | named(("vx", "vy", "vz"), force / mass - ca.cross(self.turn, self.v))
+        rates = self.rates | named(("vx", "vy", "vz"), force / mass - ca.cross(self.frame_rate, self.v))
         rates |= named(("wx", "wy", "wz"), (moment - ca.cross(self.w, momentum)) / inertia)
         return ca.vertcat(*(rates[name] for name in COORDINATES))

@@ -1,5 +1,5 @@
-"""Outputs of the car, which are the columns of a run's log: names and units. Serves the paper's eqs. (18) to (20) and
-(4): psi_Ax, psi_TrAx, y_TrAx; f_x, s_x."""
+"""Outputs of the car, the columns of a run's log. Serves the paper's eqs. (18) to (20) and (4): psi_Ax, psi_TrAx,
+y_TrAx; f_x, s_x."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from railrepro.quantities import Scalar
 
 @dataclass(frozen=True)
 class GearStates:
-    """States of a running gear in the order of the control model."""
+    """States of a running gear, in the order of the states of the control model."""
 
     p: Annotated[Scalar, "m", "track coordinate"]
     psi_Ax: Annotated[Scalar, "rad", "heading"]
@@ -23,7 +23,7 @@ class GearStates:
 
 @dataclass(frozen=True)
 class GearOutputs(GearStates):
-    """Outputs of the car about a running gear."""
+    """Outputs for a running gear."""
 
     phi: Annotated[Scalar, "rad", "roll angle against the track"]
     rail_y: Annotated[Scalar, "m", "lateral offset of the rails from the ideal track"]
@@ -31,7 +31,7 @@ class GearOutputs(GearStates):
 
 @dataclass(frozen=True)
 class WheelOutputs:
-    """Outputs of the car about a wheel."""
+    """Outputs for a wheel and its contact with the rail."""
 
     w: Annotated[Scalar, "rad/s", "angular speed"]
     tau: Annotated[Scalar, "N m", "motor torque"]
@@ -49,7 +49,7 @@ class WheelOutputs:
 
 @dataclass(frozen=True)
 class SuspensionOutputs:
-    """Outputs of the car about the suspension of a running gear."""
+    """Outputs for the suspension of a running gear."""
 
     yaw_to_body: Annotated[Scalar, "rad", "yaw angle of the running gear against the car body"]
     sway: Annotated[Scalar, "m", "lateral deflection"]
@@ -57,7 +57,7 @@ class SuspensionOutputs:
 
 @dataclass(frozen=True)
 class BodyOutputs:
-    """Outputs of the car about its body."""
+    """Outputs for the car body."""
 
     s: Annotated[Scalar, "m", "track coordinate"]
     y: Annotated[Scalar, "m", "lateral displacement"]
@@ -70,7 +70,7 @@ class BodyOutputs:
 
 @dataclass(frozen=True)
 class FloorOutputs:
-    """Acceleration of a point of the floor, in axes of the car body, as an accelerometer reads it: at rest az is -g."""
+    """Acceleration that an accelerometer at a point of the floor reads, in axes of the car body: at rest az is -g."""
 
     ax: Annotated[Scalar, "m/s2"]
     ay: Annotated[Scalar, "m/s2"]
@@ -79,8 +79,7 @@ class FloorOutputs:
 
 @dataclass(frozen=True)
 class Outputs:
-    """All outputs of the car; `quantities.names` gives their names, such as "front.y", "front_le.N" and
-    "floor_rear.ay"."""
+    """All outputs of the car, with names such as "front.y", "front_le.N" and "floor_rear.ay"."""
 
     front: GearOutputs
     rear: GearOutputs

@@ -1,5 +1,5 @@
 """Forces between car body and wheel carrier: springs, dampers, traction link, stops. Serves the paper's section
-Simulation Environment; the control model keeps only k_sz, k_dz, k_sx and k_dx of it."""
+Simulation Environment; the control model has only k_sz, k_dz, k_sx and k_dx."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from railrepro.car.integrator import Stages
 from railrepro.car.kinematics import Body
 
 _SINE = {"roll": (2, 1), "pitch": (0, 2), "yaw": (1, 0)}
-"""Row and column of a rotation matrix where the sine of an angle stands, the other angles being small."""
+"""Angle -> row and column of its sine in a rotation matrix, if the other angles are small."""
 
 
 def _beyond(value: ca.SX, clearance: ca.SX) -> ca.SX:
-    """How far `value` exceeds +-clearance, signed."""
+    """Return the signed excess of a value over the range from -clearance to +clearance, 0 within it."""
     return ca.fmax(value - clearance, 0) + ca.fmin(value + clearance, 0)
 
 
@@ -29,15 +29,15 @@ class Suspension:
     Args:
         body, lower (Body): Car body and wheel carrier.
         end (int): +1 for the front carrier, -1 for the rear one.
-        par (CarParameters): Parameters, see `equations.CarParameters`.
-        stages (Stages): Holds intermediate symbols.
+        par (equations.CarParameters): Parameters.
+        stages (Stages): Symbols for intermediate results.
 
     Attributes:
         force_on_lower, moment_on_lower (SX, shape (3, 1)): Force (N) and moment about the centre of gravity (N m) on
             the carrier, in its axes. The opposite force acts on the body.
         moment_on_upper (SX, shape (3, 1)): Moment on the car body in its axes (N m).
         energy, dissipation (SX): Potential energy (J), power lost in dampers (W).
-        yaw_sine, sway (SX): Sine of the carrier's yaw against the body (-), lateral deflection (m).
+        yaw_sine, sway (SX): Sine of the carrier's yaw angle against the body (-), lateral deflection (m).
     """
 
     def __init__(self, body: Body, lower: Body, end: int, par: Any, stages: Stages):
@@ -45,54 +45,53 @@ class Suspension:
         offset = lower.attitude.T @ (body.position - lower.position)
         velocity = lower.attitude.T @ (body.section.rotation @ body.v - lower.section.rotation @ lower.v)
         held = stages.hold(relative, offset, velocity, relative @ body.w)
-        self._relative, self._offset, self._velocity, self._upper_turn = held
-        self._par, self._lower_turn = par, lower.w
+        self._relative, self._offset, self._velocity, self._upper_rate = held
+        self._par, self._lower_rate = par, lower.w
         self.force_on_lower, self.moment_on_lower, self._on_upper = ca.SX.zeros(3), ca.SX.zeros(3), ca.SX.zeros(3)
-        self.energy: ca.SX | int = 0
-        self.dissipation: ca.SX | int = 0
+        self.energy, self.dissipation = ca.SX(0), ca.SX(0)
         # ±½ and not ±1, which CasADi drops: both gears keep the same operations, see `compile.lanes`
-        own, half = self._par.suspension, ca.SX(end / 2) * par.body.gear_spacing
-        on_body = ca.vertcat(half, 0, par.body.cg_height - own.height)
-        on_lower = ca.vertcat(0, 0, par.wheel.radius - own.height)
+        data, half = par.suspension, ca.SX(end / 2) * par.body.gear_spacing
+        on_body = ca.vertcat(half, 0, par.body.cg_height - data.height)
+        on_lower = ca.vertcat(0, 0, par.wheel.radius - data.height)
         arm, mean = self._spring_pair(on_body, on_lower, par.body.mass * par.gravity / 2)
-        over = _beyond(mean[1], own.bump_clearance)
-        self._act(arm, ca.vertcat(0, own.bump_stiffness * over, 0))
-        self.energy += own.bump_stiffness * over**2 / 2
+        over = _beyond(mean[1], data.bump_clearance)
+        self._act(arm, ca.vertcat(0, data.bump_stiffness * over, 0))
+        self.energy += data.bump_stiffness * over**2 / 2
         self._link(half)
-        self._torsion_spring("roll", own.antiroll_stiffness, own.antiroll_damping)
-        self._torsion_spring("pitch", own.pitch_stiffness, own.pitch_damping)
-        self._torsion_spring("yaw", own.yaw_stop_stiffness, 0, own.yaw_stop_angle)
+        self._torsion_spring("roll", data.antiroll_stiffness, data.antiroll_damping)
+        self._torsion_spring("pitch", data.pitch_stiffness, data.pitch_damping)
+        self._torsion_spring("yaw", data.yaw_stop_stiffness, 0, data.yaw_stop_angle)
         self.yaw_sine = -self._relative[_SINE["yaw"]]
         self.sway = mean[1]
-        # kept as symbols, since each acts on both bodies
         held = stages.hold(self.force_on_lower, self.moment_on_lower, self._on_upper)
         self.force_on_lower, self.moment_on_lower, on_upper = held
         self.moment_on_upper = -self._relative.T @ on_upper
 
     def _deflection(self, on_upper: ca.SX, on_lower: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Arm on the upper body, relative displacement of two points and its rate."""
+        """Return the lever arm of a point on the upper body, its displacement from one on the lower body, its rate."""
         arm = self._relative @ on_upper
         deflection = self._offset + arm - on_lower
-        rate = self._velocity + ca.cross(self._upper_turn, arm) - ca.cross(self._lower_turn, arm + self._offset)
+        rate = self._velocity + ca.cross(self._upper_rate, arm) - ca.cross(self._lower_rate, arm + self._offset)
         return arm, deflection, rate
 
     def _act(self, arm: ca.SX, force: ca.SX) -> None:
-        """Force on the lower body (and its reaction on the upper one) at the point of the upper one."""
+        """Apply a force to the lower body, and its reaction to the upper one, at the point `arm` of the upper one."""
         self.force_on_lower += force
         self._on_upper += ca.cross(arm, force)
         self.moment_on_lower += ca.cross(arm + self._offset, force)
 
     def _spring_pair(self, on_upper: ca.SX, on_lower: ca.SX, preload: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Left and right spring and damper: their mean at the centre and their difference; returns arm and mean."""
-        own = self._par.suspension
-        stiffness = ca.vertcat(own.k_x, own.k_y, own.k_z)
-        damping = ca.vertcat(own.c_x, own.c_y, own.c_z)
+        """Apply springs and dampers left and right: their mean at the centre, and a couple from their difference. They
+        carry the weight `preload` (N). Returns lever arm and mean deflection (m)."""
+        data = self._par.suspension
+        stiffness = ca.vertcat(data.k_x, data.k_y, data.k_z)
+        damping = ca.vertcat(data.c_x, data.c_y, data.c_z)
         weight = ca.vertcat(0, 0, preload)
         arm, mean, rate = self._deflection(on_upper, on_lower)
         self._act(arm, weight + 2 * stiffness * mean + 2 * damping * rate)
-        lever = own.half_spacing * self._relative[:, 1]
-        difference = lever - ca.vertcat(0, own.half_spacing, 0)
-        difference_rate = ca.cross(self._upper_turn - self._lower_turn, lever)
+        lever = data.half_spacing * self._relative[:, 1]
+        difference = lever - ca.vertcat(0, data.half_spacing, 0)
+        difference_rate = ca.cross(self._upper_rate - self._lower_rate, lever)
         couple = 2 * ca.cross(lever, stiffness * difference + damping * difference_rate)
         self._on_upper += couple
         self.moment_on_lower += couple
@@ -101,13 +100,13 @@ class Suspension:
         return arm, mean
 
     def _torsion_spring(self, angle: str, stiffness, damping, free=None) -> None:
-        """Torque from the sine of a relative angle, or from its excess over `free` (rad), about the gradient of that
-        sine."""
+        """Apply a torque about the gradient of the sine of a relative angle: proportional to this sine, or for a stop
+        to its excess over the play `free` (rad)."""
         row, column = _SINE[angle]
         sine = self._relative[row, column]
         gradient = ca.cross(self._relative[:, column], ca.SX.eye(3)[:, row])
         over = sine if free is None else _beyond(sine, ca.sin(free))
-        rate = ca.dot(gradient, self._upper_turn - self._lower_turn)
+        rate = ca.dot(gradient, self._upper_rate - self._lower_rate)
         torque = (stiffness * over + damping * rate) * gradient
         self.moment_on_lower += torque
         self._on_upper += torque
@@ -115,11 +114,11 @@ class Suspension:
         self.dissipation += damping * rate**2
 
     def _link(self, half: ca.SX) -> None:
-        """Traction link at axle height; acts along the carrier only."""
-        par, own = self._par, self._par.suspension
+        """Apply the traction link at axle height, which acts along the carrier only."""
+        par, data = self._par, self._par.suspension
         on_upper = ca.vertcat(half, 0, par.body.cg_height - par.wheel.radius)
         arm, deflection, rate = self._deflection(on_upper, ca.SX.zeros(3))
-        force = own.link_stiffness * deflection[0] + own.link_damping * rate[0]
+        force = data.link_stiffness * deflection[0] + data.link_damping * rate[0]
         self._act(arm, ca.vertcat(force, 0, 0))
-        self.energy += own.link_stiffness * deflection[0] ** 2 / 2
-        self.dissipation += own.link_damping * rate[0] ** 2
+        self.energy += data.link_stiffness * deflection[0] ** 2 / 2
+        self.dissipation += data.link_damping * rate[0] ** 2

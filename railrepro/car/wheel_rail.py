@@ -1,5 +1,5 @@
-"""Forces between a wheel and its rail: where they touch, how they slide, what that gives. Serves the paper's section
-Train-Track Interaction, for the plant."""
+"""Forces between a wheel and its rail: position of the contact, creepages, normal and creep force. Serves the paper's
+section Train-Track Interaction, for the plant."""
 
 from __future__ import annotations
 
@@ -18,19 +18,14 @@ _SIGN = {"le": -1, "ri": 1}
 
 
 def shift_to_flange(gear: Body, side: str, par: Any) -> ca.SX:
-    """Lateral shift of a wheel on its rail, positive towards the flange (m): the abscissa of the contact table.
-
-    Args:
-        gear (Body): Wheel carrier of the wheel.
-        side (str): "le" (left) or "ri" (right).
-        par (CarParameters): Parameters, see `equations.CarParameters`.
-    """
+    """Compute the lateral shift of the wheel on side "le" or "ri" on its rail, positive towards the flange (m). It is
+    the argument of the contact table. `gear` is the wheel carrier, `par` an `equations.CarParameters`."""
     sign = _SIGN[side]
     return sign * (sign * par.gear.contact_base / 2 - _rail_in_axle(gear, sign, par)[0])
 
 
 def _rail_in_axle(gear: Body, sign: int, par: Any) -> tuple[ca.SX, ca.SX]:
-    """Lateral and vertical coordinate of the rail point in the (unpitched) axle frame (m)."""
+    """Compute the lateral and vertical coordinate of the rail in the axes of the unpitched axle (m)."""
     y = sign * (par.gear.contact_base + gear.section.gauge) / 2 + gear.section.lateral - gear.y
     z = gear.section.vertical + sign * par.gear.contact_base / 2 * gear.section.crosslevel - gear.z
     across = y / ca.cos(gear.psi)
@@ -38,34 +33,27 @@ def _rail_in_axle(gear: Body, sign: int, par: Any) -> tuple[ca.SX, ca.SX]:
 
 
 def _rail_slopes(gear: Body, sign: int, par: Any) -> tuple[ca.SX, ca.SX]:
-    """Slopes of the irregular rail to the right and downwards over the track coordinate (-)."""
+    """Compute the slopes of the irregular rail to the right and downwards along the track (-)."""
     rates = gear.section.irregularity_rates
     sinking = rates["vertical"] + sign * par.gear.contact_base / 2 * rates["crosslevel"]
     return rates["lateral"] + sign * rates["gauge"] / 2, sinking
 
 
 class _Axes:
-    """Unit vectors of a contact in the axes of the unpitched axle: what rail and profile give in these does not depend
-    on the pitch.
-
-    Args:
-        gear (Body): Wheel carrier of the wheel.
-        sign (int): Side of the wheel, positive to the right.
-        slope, cos_angle (SX): Tangent and cosine of the contact angle.
-        par (CarParameters): Parameters, see `equations.CarParameters`.
+    """Unit vectors of a contact in the axes of the unpitched axle, where rail and profile do not depend on the pitch.
 
     Attributes:
         to_track, to_carrier (SX, shape (3, 3)): From these axes to the track frame, and to the axes of the carrier.
-        tangent, lateral, normal (SX, shape (3, 1)): Along the rail, across it in the contact plane, normal to that.
+        tangent, lateral, normal (SX, shape (3, 1)): Along the rail, across it in the contact plane, normal to both.
     """
 
     def __init__(self, gear: Body, sign: int, slope: ca.SX, cos_angle: ca.SX, par: Any):
         self.to_track = rotation("z", gear.psi) @ rotation("x", gear.phi)
         self.to_carrier = rotation("x", -gear.phi) @ rotation("y", -gear.pitch) @ rotation("x", gear.phi)
-        turn_rate, base = gear.section.turn_rate, sign * par.gear.contact_base / 2
-        aside, sinking = _rail_slopes(gear, sign, par)
-        climb = turn_rate[0] * base + sinking
-        tangent = ca.vertcat(1, ca.vertcat(aside, climb) / (1 - turn_rate[2] * base))
+        curvature, base = gear.section.curvature, sign * par.gear.contact_base / 2
+        lateral_slope, vertical_slope = _rail_slopes(gear, sign, par)
+        sinking = curvature[0] * base + vertical_slope
+        tangent = ca.vertcat(1, ca.vertcat(lateral_slope, sinking) / (1 - curvature[2] * base))
         self.tangent = self.to_track.T @ (tangent / ca.norm_2(tangent))
         normal = ca.vertcat(0, sign * slope * cos_angle, cos_angle)
         normal -= self.tangent * ca.dot(self.tangent, normal)
@@ -74,23 +62,23 @@ class _Axes:
 
 
 class Contact:
-    """Contact of one wheel with its rail: normal force with damping and lift-off, creepages, tangential force.
+    """Contact of a wheel with its rail: normal force with damping and lift-off, creepages, creep force.
 
     Args:
         gear (Body): Wheel carrier of the wheel.
         side (str): "le" (left) or "ri" (right).
         speed (SX): Absolute angular speed of the wheel (rad/s), positive when rolling forward.
         row (SX): Row of the contact table, in the order of `CELL_COLUMNS`.
-        par (CarParameters): Parameters, see `equations.CarParameters`.
-        stages (Stages): Holds intermediate symbols.
+        par (equations.CarParameters): Parameters.
+        stages (Stages): Symbols for intermediate results.
 
     Attributes:
-        creepage (pair of SX), spin (SX): Sliding speed along and across the rail over the running speed (-); turning
-            speed about the contact normal over the running speed (1/m).
+        sliding, creepage (pair of SX): Sliding speed along and across the rail (m/s), over the running speed (-).
+        spin_rate, spin (SX): Angular speed about the contact normal (rad/s), over the running speed (1/m).
         force (SX, shape (3, 1)): Force on the wheel in track-frame components (N).
         moment (SX, shape (3, 1)): Moment on the carrier about its centre of gravity, in carrier axes (N m).
-        normal, tangential, spin_moment (SX, list of 2 SX, SX): Normal force (N), forces along and across the rail (N),
-            moment about the contact normal (N m).
+        normal, spin_moment (SX): Normal force (N), moment about the contact normal (N m).
+        tangential (list of 2 SX): Creep forces along and across the rail (N).
         angle (SX): Contact angle (rad).
         energy, dissipation, friction_loss (SX): Elastic energy (J), power lost to damping and to creep (W).
 
@@ -105,42 +93,43 @@ class Contact:
         self.gear, self.angle = gear, ca.atan(at["slope"])
         self.penetration = (at["effective_radius"] - rail_z) * cos_angle
         axes = _Axes(gear, sign, at["slope"], cos_angle, par)
-        # A wheel is a body of revolution, so the normal meets its axis: on a rail that climbs against the axle (cant
-        # ramp) the contact sits ahead of or behind the lowest point.
+        # A wheel is a body of revolution, so the normal meets its axis. On a rail that climbs against the axle (cant
+        # ramp) the contact lies ahead of or behind the lowest point.
         ahead = axes.normal[0] / axes.normal[2]
         depth = at["rolling_radius"] - self.penetration / cos_angle
         at_contact = ca.vertcat(ahead * depth, rail_y + sign * at["rail_contact"], depth)
-
-        motion = [offset, self.penetration, self._penetration_rate(gear, sign, par)]
+        moving = ca.vertcat(gear.y, gear.z, gear.psi, gear.phi)
+        rates = ca.vertcat(*(gear.rates[name] for name in ("y", "z", "psi", "phi")))
+        rates -= ca.vertcat(*_rail_slopes(gear, sign, par), 0, 0) * gear.sdot
+        motion = [offset, self.penetration, ca.jtimes(self.penetration, moving, rates)]
         motion += self._sliding(speed, at_contact, axes, par)
         forces = self._forces(stages.hold(*motion), cell, gear.section.poor[side], par)
         self.normal, self.spin_moment, *self.tangential = stages.hold(*forces)
         self._act(ca.vertcat(ahead * rail_z, rail_y, rail_z), at_contact, axes)
 
     def _sliding(self, speed: ca.SX, at_contact: ca.SX, axes: _Axes, par: Any) -> list[ca.SX]:
-        """Sliding speeds along and across the rail (m/s), turning speed about the normal (rad/s), running speed, not 0
-        at standstill (m/s)."""
+        """Compute the sliding speeds along and across the rail (m/s), the angular speed about the normal (rad/s) and
+        the running speed (m/s), which is not 0 at standstill."""
         spin = axes.to_carrier.T @ ca.vertcat(self.gear.wx, -speed, self.gear.wz)
-        # the hub lies on the axis of the spin that it adds
+        # the axis of the wheel passes through the centre of gravity of the carrier
         slide = axes.to_track.T @ self.gear.v + ca.cross(spin, at_contact)
         rolling_speed = ca.sqrt(self.gear.vx**2 + par.contact.rest_speed**2)
         return [ca.dot(slide, axes.tangent), ca.dot(slide, axes.lateral), ca.dot(spin, axes.normal), rolling_speed]
 
     def _act(self, at_normal: ca.SX, at_contact: ca.SX, axes: _Axes) -> None:
-        """Set force and moment on wheel and carrier and the power lost to creep. The normal force acts at `at_normal`,
-        the creep force at `at_contact` (m)."""
+        """Set `force`, `moment` and `friction_loss` of normal and creep force, which act at these two points (m)."""
         creep_force = axes.tangent * self.tangential[0] + axes.lateral * self.tangential[1]
         normal_force = -axes.normal * self.normal
-        given = ca.vertcat(*self.tangential, self.spin_moment)
-        self.friction_loss = -ca.dot(given, ca.vertcat(*self.sliding, self.turn))
-        # Of this moment about the gear's centre of gravity the bearings pass the y component to the wheel alone.
+        resultant = ca.vertcat(*self.tangential, self.spin_moment)
+        self.friction_loss = -ca.dot(resultant, ca.vertcat(*self.sliding, self.spin_rate))
+        # the y component of this moment about the centre of gravity of the carrier turns the wheel alone
         moment = ca.cross(at_contact, creep_force) + ca.cross(at_normal, normal_force) + axes.normal * self.spin_moment
         self.force, self.moment = axes.to_track @ (creep_force + normal_force), axes.to_carrier @ moment
 
     def _forces(self, motion: list[ca.SX], cell: dict[str, ca.SX], poor: ca.SX, par: Any) -> list[ca.SX]:
-        """Normal force (Hertz, with damping), spin moment and both creep forces from the motion of the contact. Source:
-        Johnson 1985, Contact Mechanics, section 4.2 (normal force); Hunt and Crossley 1975 (its damping)."""
-        offset, penetration, rate, *self.sliding, self.turn, rolling_speed = motion
+        """Compute normal force, spin moment, and creep forces along and across the rail from the motion of the contact.
+        Source: Johnson 1985, Contact Mechanics, section 4.2 (normal force); Hunt and Crossley 1975 (its damping)."""
+        offset, penetration, rate, *self.sliding, self.spin_rate, rolling_speed = motion
         at = in_cell(cell, offset)
         compression = ca.fmax(penetration, 0)
         elastic = at["normal_stiffness"] * compression * ca.sqrt(compression + 1e-20)
@@ -148,7 +137,7 @@ class Contact:
         self.energy = elastic * compression / 2.5
         self.dissipation = (normal - elastic) * rate
         self.creepage = (self.sliding[0] / rolling_speed, self.sliding[1] / rolling_speed)
-        self.spin = self.turn / rolling_speed
+        self.spin = self.spin_rate / rolling_speed
         scale = ((normal + 1) / par.contact.nominal_load) ** (1 / 3)
         sets = zip(pack(par.adhesion.good), pack(par.adhesion.poor), strict=True)
         adhesion = [on_good * (1 - poor) + on_poor * poor for on_good, on_poor in sets]
@@ -159,10 +148,3 @@ class Contact:
         )  # fmt: skip
         *tangential, moment = polach(*creep)
         return [normal, moment, *tangential]
-
-    def _penetration_rate(self, gear: Body, sign: int, par: Any) -> ca.SX:
-        """Time derivative of the penetration along the motion of the carrier over the rail (m/s)."""
-        moving = ca.vertcat(gear.y, gear.z, gear.psi, gear.phi)
-        rates = ca.vertcat(*(gear.rates[name] for name in ("y", "z", "psi", "phi")))
-        rates -= ca.vertcat(*_rail_slopes(gear, sign, par), 0, 0) * gear.sdot
-        return ca.jtimes(self.penetration, moving, rates)

@@ -1,1 +1,1 @@
-"""From CasADi functions to compiled C, with the headers it needs; no section of the paper, its times rest on it."""
+"""From CasADi functions to compiled C. Serves no section of the paper, but the times of its solvers."""

@@ -1,9 +1,7 @@
 """From C source text to a shared object, cached by content.
 
 The key of the cache is the source text, the compiler with its version and flags, and the architecture. Processes that
-need the same object wait for the one that compiles it. By default 256-bit registers are used where the processor has
-them, and products and sums are not fused, so that all processors round alike. `RAILREPRO_CFLAGS` replaces these flags,
-for example by "-O0 -g". The source stays beside its object.
+need the same object wait for the one that compiles it. The source stays beside its object.
 
 An object is loaded only with its seal, a hash of its name and content that needs a secret key of the user. One that is
 damaged, or that another user or an archive brought, is compiled again.
@@ -31,155 +29,138 @@ from railrepro.data import InputError, alone, write
 from railrepro.numerics import has_avx2
 
 _SLOW = 200_000
-"""Length from which the compiler takes seconds: cars and predictive controllers."""
+"""Length of a source text from which compiling takes seconds, as for the car and the predictive controllers."""
 _ALWAYS = ("-fPIC", "-shared", "-fno-math-errno", "-w")
 PACKAGED = "ziglang"
-"""C compiler from a Python package (extra `compiler`); the environment variable `CC` may name it."""
+"""Name of the C compiler from a Python package (extra `compiler`)."""
 _KEY = 32
 """Length of the user's key in bytes."""
 WEBASSEMBLY = (
     *("-target", "wasm32-wasi", "-mexec-model=reactor", "-mcpu=generic", "-msimd128", "-O2"),
     *("-ffp-contract=off", "-fno-math-errno", "-w"),
 )
-"""Flags of the packaged compiler for modules of WebAssembly, which give the same bits as shared objects."""
-
-
-class CompilerError(InputError):
-    """The C compiler is missing or fails, or there is no folder for compiled objects."""
+"""Flags of the packaged compiler for WebAssembly modules, which give the same bits as shared objects."""
 
 
 @lru_cache(maxsize=1)
 def compiler() -> str:
-    """Path of the C compiler, or the name "ziglang" for the one in a Python package. CompilerError if there is none.
-    The environment variable `CC` decides. Without it the first one installed of cc, gcc and ziglang is taken."""
-    asked = os.environ.get("CC")
-    for name in [asked] if asked else ["cc", "gcc", PACKAGED]:
+    """Find the C compiler: the one that the environment variable `CC` names, else the first installed of cc, gcc and
+    ziglang. Returns its path, or "ziglang" for this Python package. InputError if there is none."""
+    given = os.environ.get("CC")
+    for name in [given] if given else ["cc", "gcc", PACKAGED]:
         if command := found(name):
             return command
-    if asked:
-        raise CompilerError(f"there is no C compiler CC={asked!r}: without CC cc and gcc are looked for")
-    raise CompilerError("no C compiler was found (cc, gcc): `pip install railrepro[compiler]` brings one")
+    if given:
+        raise InputError(f"there is no C compiler CC={given!r}: without CC cc and gcc are looked for")
+    raise InputError("no C compiler was found (cc, gcc): `pip install railrepro[compiler]` brings one")
 
 
 def found(name: str) -> str | None:
-    """Path of the program `name` on PATH, None if it is not installed. For "ziglang", which is a compiler in a Python
-    package, this name itself in place of a path."""
+    """Return the path of the program `name`, None if it is not installed. For "ziglang" (Python) it is the name."""
     if name == PACKAGED:
         return name if importlib.util.find_spec(name) else None
     return shutil.which(name)
 
 
 def _call(command: str) -> list[str]:
-    """Command line of a compiler. The flags of the packaged one that are given later win; without the first of these,
-    objects would be for this very processor."""
+    """Begin the command line of a compiler, without source and flags. For the packaged one flags override these."""
     if command != PACKAGED:
         return [command]
-    place = user_folder() / "zig"
-    # zig asks CC where the headers are
-    environment = ["-u", "CC", f"ZIG_GLOBAL_CACHE_DIR={place}", f"ZIG_LOCAL_CACHE_DIR={place}"]
-    portable = ["-mcpu=baseline", "-fno-sanitize=undefined", "-g0"]
+    folder = user_folder() / "zig"
+    # without CC, which zig would ask for its headers
+    environment = ["-u", "CC", f"ZIG_GLOBAL_CACHE_DIR={folder}", f"ZIG_LOCAL_CACHE_DIR={folder}"]
+    portable = ["-mcpu=baseline", "-fno-sanitize=undefined", "-g0"]  # the default is this very processor
     return ["env", *environment, sys.executable, "-m", PACKAGED, "cc", *portable]
 
 
 def flags(portable: bool = False) -> tuple[str, ...]:
-    """Compiler flags as a tuple of str: those in `RAILREPRO_CFLAGS` or a default, then flags that are always given.
-    With `portable` the default leaves out AVX2, for code that runs on any processor."""
+    """Return the compiler flags: those in `RAILREPRO_CFLAGS`, such as "-O0 -g", or a default, then those always given.
+    By default products and sums are not fused, so that all processors round alike. AVX2 is used if the processor has
+    it, but not with `portable`."""
     wide = " -mavx2" if has_avx2() and not portable else ""
     return (*os.environ.get("RAILREPRO_CFLAGS", f"-O2 -ffp-contract=off{wide}").split(), *_ALWAYS)
 
 
 @lru_cache
 def identity(command: str, options: tuple[str, ...]) -> str:
-    """Text that identifies a compilation apart from its source: version of the compiler, flags, processor architecture.
-
-    `command` is the compiler as from `compiler`, `options` are the flags. CompilerError if `command --version` fails.
-    """
+    """Identify a compilation apart from its source: text with version of the compiler, flags and architecture.
+    `command` is a result of `compiler`, `options` are the flags. InputError if `command --version` fails."""
     try:
         done = subprocess.run([*_call(command), "--version"], capture_output=True, text=True, check=True, timeout=30)
     except (OSError, subprocess.SubprocessError, UnicodeDecodeError) as error:
-        raise CompilerError(f"the C compiler {command} does not answer to --version ({error})") from error
+        raise InputError(f"the C compiler {command} does not answer to --version ({error})") from error
     return "\n".join((done.stdout.partition("\n")[0], " ".join(options), platform.machine()))
 
 
 def folders(name: str) -> Iterator[Path]:
-    """Folders `name` that this user alone can write, made if need be: that in `build` of a checkout, then that in the
-    user's cache. One that others can write to is left out, as is one on a read-only disk."""
+    """Yield the folders `name` that only this user can write: in `build` of a checkout, then in the user's cache. They
+    are made if need be. One that others can write, or that nobody can, is left out."""
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # stays relative where there is no home
     places = [] if paths.INSTALLED else [paths.BUILD / name]
     places += [Path(home, "railrepro", name)] if os.path.isabs(home) else []
-    return filter(_private, places)
-
-
-def _private(folder: Path) -> bool:
-    with suppress(OSError):
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        folder.mkdir(mode=0o700, exist_ok=True)
-        status = folder.lstat()
-        private = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
-        return private and os.access(folder, os.W_OK)
-    return False
+    for folder in places:
+        with suppress(OSError):
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(mode=0o700, exist_ok=True)
+            status = folder.lstat()
+            private = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
+            if private and os.access(folder, os.W_OK):
+                yield folder
 
 
 def cache_folder() -> Path:
-    """Folder of the compiled objects: `build/compiled` of a checkout, or in the user's cache. CompilerError if there is
-    no such folder that the user alone can write."""
-    return _compiled()[0]
+    """Return the folder of the compiled objects, the first of `folders`. InputError if there is none."""
+    for folder in folders("compiled"):
+        return folder
+    raise InputError("compiled code needs a folder that you alone can write: build or ~/.cache/railrepro")
 
 
 def user_folder() -> Path:
-    """Folder of what must not come from others with `build`: `compiled` in the user's cache, or `cache_folder` where
-    that cannot be written."""
-    return _compiled()[-1]
-
-
-def _compiled() -> list[Path]:
-    if found := list(folders("compiled")):
-        return found
-    raise CompilerError("compiled code needs a folder that you alone can write: build or ~/.cache/railrepro")
+    """Return the folder in the user's cache, which no copied `build` replaces; `cache_folder` if it is not writable."""
+    return [cache_folder(), *folders("compiled")][-1]
 
 
 def seal(name: str, content: bytes) -> bytes:
-    """Seal of a file with this name and content: 32 bytes that only the owner of the user's key can compute (HMAC).
-
-    The key is made at the first use and stays in the user's cache. Where that cannot be written the key is in
-    `cache_folder`: then seals show damage, but not that a folder with objects and key came from others.
-    """
+    """Compute the seal of a file with this name and content: 32 bytes that need the secret key of the user (HMAC). The
+    key is made at the first use and stays in `user_folder`. If this is `cache_folder`, seals show damage, but not that
+    objects and key came from others."""
     return hmac.digest(_key(user_folder() / "key"), name.encode() + b"\0" + content, "sha256")
 
 
 @lru_cache
 def _key(file: Path) -> bytes:
     try:
-        with alone(file):  # so that processes that start together have one key
+        with alone(file):  # processes that start together have one key
             if file.stat().st_size != _KEY:
                 file.chmod(0o600)
                 file.write_bytes(os.urandom(_KEY))
             return file.read_bytes()
     except OSError as error:
-        raise CompilerError(f"{file}: cannot be made or read ({error.strerror})") from error
+        raise InputError(f"{file}: cannot be made or read ({error.strerror})") from error
 
 
 def _is_sealed(target: Path) -> bool:
-    """Whether an object is there and has the seal of this user."""
+    """Check whether an object exists and has the seal of this user."""
     with suppress(OSError):
         return hmac.compare_digest(target.with_suffix(".seal").read_bytes(), seal(target.name, target.read_bytes()))
     return False
 
 
 def build(text: str, portable: bool = False, webassembly: bool = False, triple: str = "") -> Path:
-    """Path of the object compiled from a C source text. It is compiled only if it is not in the cache with its seal.
-
-    CompilerError if there is no compiler or no folder, or if the compiler refuses the source.
+    """Compile a C source text, unless its object is in the cache with its seal, and return the path of the object.
 
     Args:
         text (str): Complete C source.
         portable (bool): Make a shared object for any processor of the architecture, see `flags`.
-        webassembly (bool): Make a WebAssembly module with the packaged compiler, instead of a shared object.
+        webassembly (bool): Make a WebAssembly module with the packaged compiler.
         triple (str): Another platform, for which the packaged compiler makes the object, such as "x86_64-windows-gnu".
+
+    Raises:
+        InputError: There is no compiler or no folder, or the compiler refuses the source.
     """
     if (webassembly or triple) and not found(PACKAGED):
-        wanted = f"shared objects for {triple}" if triple else "modules of WebAssembly"
-        raise CompilerError(f"{wanted} need `pip install railrepro[compiler]`")
+        product = f"shared objects for {triple}" if triple else "modules of WebAssembly"
+        raise InputError(f"{product} need `pip install railrepro[compiler]`")
     command = PACKAGED if webassembly or triple else compiler()
     options = WEBASSEMBLY if webassembly else flags(portable)
     options = ("-target", triple, *options) if triple else options
@@ -190,13 +171,12 @@ def build(text: str, portable: bool = False, webassembly: bool = False, triple: 
         with alone(lock):
             if not _is_sealed(target):  # another process may have compiled it meanwhile
                 _compile([*_call(command), *options], text, target)
-            lock.unlink(missing_ok=True)  # who waits for it finds the object
+            lock.unlink(missing_ok=True)  # a process that waits for it finds the object
     return target
 
 
 def build_ahead(text: str) -> None:
-    """Start to compile a C source text in a thread, while this process goes on. `build` waits for the object, or tries
-    again and raises what went wrong."""
+    """Start to compile a C source text in a thread. `build` then waits for the object, or tries again and raises."""
 
     def attempt() -> None:
         with suppress(InputError):
@@ -211,7 +191,7 @@ def _announce() -> None:
 
 
 def _compile(command: list[str], text: str, target: Path) -> None:
-    """Compile the source, which stays beside its object, and put the object in place in one step."""
+    """Compile a source text; object and seal appear when they are complete, the source stays beside them."""
     if len(text) > _SLOW:
         _announce()
     source, output = target.with_suffix(".c"), target.with_suffix(".part")
@@ -219,7 +199,7 @@ def _compile(command: list[str], text: str, target: Path) -> None:
     call = [*command, str(source), "-o", str(output), "-lm"]
     done = subprocess.run(call, capture_output=True, text=True, errors="replace")
     if done.returncode or not output.is_file():
-        said = done.stderr.strip()[:300] or "no object"
-        raise CompilerError(f"{command[0]} refused the generated source {source}: {said}")
+        reason = done.stderr.strip()[:300] or "no object"
+        raise InputError(f"{command[0]} refused the generated source {source}: {reason}")
     write(target.with_suffix(".seal"), seal(target.name, output.read_bytes()))
     os.replace(output, target)

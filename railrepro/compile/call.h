@@ -1,5 +1,5 @@
-/* The one preamble of all hand-written C here. Generated functions take arrays of pointers to their arguments and results;
-   those of scalar operations need no memory. */
+/* Preamble of all hand-written C. Generated functions take arrays of pointers to their arguments and results; those of
+   scalar operations need no memory. */
 
 #include <math.h>
 #include <string.h>
@@ -9,7 +9,7 @@
 #endif
 typedef int (*casadi_fn)(const double **, double **, casadi_int *, double *, int);
 
-/* Row of the cell that holds coordinate p; outside the table the first or last one, the first also where p is NaN. */
+/* Row of the cell that contains the coordinate p; outside the table the first or last row, for NaN the first. */
 static const double *row_at(const double *cells, double p, double start, double step, casadi_int n, casadi_int width) {
   double cell = floor((p - start) / step);
   if (!(cell > 0)) cell = 0;

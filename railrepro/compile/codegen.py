@@ -1,5 +1,5 @@
-"""From CasADi functions to C source text, and from there to functions that are called. `cache` compiles text and keeps
-the objects, `lanes` writes C for vector registers, `reciprocals` saves divisions."""
+"""From CasADi functions to C source text and to compiled functions. `cache` compiles text and keeps the objects,
+`lanes` writes C for vector registers, `reciprocals` saves divisions."""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ from railrepro.data import InputError, write
 
 Built = TypeVar("Built")
 ELEMENTARY = Path(__file__).with_name("elementary.c").read_text(encoding="utf-8")
-"""C source of elementary functions (sin, exp, …) that replace the system's and give the same bits on all machines."""
+"""C source of elementary functions (sin, exp, …) that give the same bits on all machines, unlike the system's."""
 PREAMBLE = Path(__file__).with_name("call.h").read_text(encoding="utf-8")
-"""C source that stands before all hand-written C."""
+"""C source that comes before all hand-written C."""
 
 
 def defines(values: dict) -> str:
-    """C lines `#define NAME VALUE`, one for each entry of the dict."""
+    """Write C source with a line `#define NAME VALUE` for each entry of a dict."""
     return "".join(f"#define {name} {value}\n" for name, value in values.items())
 
 
 def enumeration(names: Iterable[str]) -> str:
-    """C source of an enum whose constants `names` count from 0. An entry "NAME = 5" sets the value of a constant."""
+    """Write C source of an enum with the constants `names`, which count from 0; "NAME = 5" sets a value."""
     return f"enum {{ {', '.join(names)} }};\n"
 
 
 def source_text(functions: Sequence[ca.Function]) -> str:
-    """C source of CasADi functions, with C functions for work sizes and sparsity. It begins with `ELEMENTARY`."""
+    """Write C source of CasADi functions, after that of `ELEMENTARY`."""
     generator = ca.CodeGenerator("generated", {"with_header": False, "verbose": False})
     for function in functions:
         generator.add(function)
@@ -54,19 +54,19 @@ def source_text(functions: Sequence[ca.Function]) -> str:
 
 
 def library(functions: Sequence[ca.Function], extra: str = "") -> ctypes.CDLL:
-    """Load CasADi functions as a shared object, compiled or from the cache. `extra` is C source that may call them."""
+    """Load CasADi functions as a shared object, compiled or from the cache; `extra` is C source that may call them."""
     return ctypes.CDLL(str(cache.build(source_text(functions) + extra)))
 
 
 def structure(name: str, text: str, sizes: Mapping[str, int], **kinds: Any) -> Any:
-    """Make the `ctypes.Structure` class for a struct that is defined in C source.
+    """Make the `ctypes.Structure` class of a struct that C source defines.
 
     Args:
         name (str): Name of the struct, as in `typedef struct { … } name;`. Members may be double, casadi_int, types in
             `kinds`, pointers, and arrays of these.
         text (str): C source that contains the struct.
-        sizes (mapping): Name of a C constant -> its value, for the constants in array lengths.
-        kinds (type): Name of a further C type -> its ctypes type, as keyword arguments.
+        sizes (mapping): C constant in the length of an array -> its value.
+        kinds (type): C type -> its ctypes type, as keyword arguments.
     """
     known = {"double": ctypes.c_double, "casadi_int": ctypes.c_longlong} | kinds
     text = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
@@ -74,31 +74,30 @@ def structure(name: str, text: str, sizes: Mapping[str, int], **kinds: Any) -> A
     fields: list[tuple[str, Any]] = []
     for kind, members in re.findall(r"(?:const |struct )?(\w+) ([^;]+);", body):
         for member in members.split(","):
-            found: Any = ctypes.c_void_p if "*" in member.partition("[")[0] else known[kind]
+            entry_type: Any = ctypes.c_void_p if "*" in member.partition("[")[0] else known[kind]
             entry, *lengths = re.findall(r"\w[\w *]*", member)
             for length in reversed(lengths):
-                found *= math.prod(int(sizes.get(factor, factor)) for factor in re.findall(r"\w+", length))
-            fields.append((entry, found))
+                entry_type *= math.prod(int(sizes.get(factor, factor)) for factor in re.findall(r"\w+", length))
+            fields.append((entry, entry_type))
     return type(name, (ctypes.Structure,), {"_fields_": fields})
 
 
 def initialiser(of: ctypes.Structure) -> str:
-    """C initialiser `{.name = value, …}` for the members of a struct instance that are single doubles or integers."""
+    """Write the C initialiser `{.name = value, …}` of the single doubles and integers in a struct instance."""
     scalars = [name for name, kind, *_ in of._fields_ if kind in (ctypes.c_double, ctypes.c_longlong)]
     return f"{{{', '.join(f'.{name} = {getattr(of, name)!r}' for name in scalars)}}}"
 
 
 def arrays(of: ctypes.Structure) -> dict[str, np.ndarray]:
-    """Dict from name to NumPy view of the members of a struct instance that are arrays of doubles. Writing to a view
-    changes the struct."""
-    kinds = {name: getattr(kind, "_type_", None) for name, kind, *_ in of._fields_}
-    listed = [name for name, kind in kinds.items() if kind is ctypes.c_double or hasattr(kind, "_length_")]
+    """Return the arrays of doubles in a struct instance: name -> NumPy view, which shares the memory of the struct."""
+    entries = {name: getattr(kind, "_type_", None) for name, kind, *_ in of._fields_}
+    listed = [name for name, kind in entries.items() if kind is ctypes.c_double or hasattr(kind, "_length_")]
     return {name: np.ctypeslib.as_array(getattr(of, name)) for name in listed}
 
 
 def for_c(what: str, value: Any, shape: tuple[int, ...], largest: float = sys.float_info.max) -> np.ndarray:
-    """Copy of an argument as an array of float64. InputError, with its name `what`, unless it has this shape and
-    consists of numbers of at most `largest` in magnitude."""
+    """Copy an argument as a float64 array. InputError, with the name `what`, unless it has this shape and consists of
+    numbers up to `largest` in magnitude."""
     try:
         given = np.asarray(value)
     except (TypeError, ValueError):  # a list of lists of different lengths
@@ -110,47 +109,37 @@ def for_c(what: str, value: Any, shape: tuple[int, ...], largest: float = sys.fl
     return given.astype(float)
 
 
-class InC:
-    """Attribute of a class whose `_arrays` are those of `arrays`: reading it gives the view, setting it copies numbers
-    of at most `largest` in magnitude into it."""
+def in_c(name: str, largest: float = sys.float_info.max) -> Any:
+    """Make a property of a class whose `_arrays` are those of `arrays`. It is the view `name`, and an assignment copies
+    numbers up to `largest` in magnitude into it."""
 
-    def __init__(self, largest: float = sys.float_info.max):
-        self._largest = largest
+    def assign(instance: Any, value: Any) -> None:
+        array = instance._arrays[name]
+        array[:] = for_c(f"{type(instance).__name__}: {name}", value, array.shape, largest)
 
-    def __set_name__(self, owner: type, name: str) -> None:
-        self._name = name
-
-    def __get__(self, instance: Any, owner: type | None = None) -> Any:
-        return self if instance is None else instance._arrays[self._name]
-
-    def __set__(self, instance: Any, value: Any) -> None:
-        array = instance._arrays[self._name]
-        array[:] = for_c(f"{type(instance).__name__}: {self._name}", value, array.shape, self._largest)
+    return property(lambda instance: instance._arrays[name], assign)
 
 
 class CompiledFunction:
-    """A CasADi function in a shared object, called without copies: fill `arguments`, call, read `results`.
+    """A CasADi function as compiled code, called without copies: fill `arguments`, call, read `results`.
 
     Args:
-        library (ctypes.CDLL): Shared object with the C of the function.
-        function (casadi.Function): The function, for its name and sizes.
+        function (casadi.Function): The function.
+        shared (ctypes.CDLL, optional): Shared object that has it; by default it is compiled, or read from the cache.
 
     Attributes:
         arguments, results (list of ndarray): One float64 array per input and per output, with its structural nonzeros
             in column-major order.
     """
 
-    def __init__(self, library: ctypes.CDLL, function: ca.Function):
-        self._symbol = getattr(library, function.name())
-        taken = [function.nnz_in(i) for i in range(function.n_in())]
-        given = [function.nnz_out(i) for i in range(function.n_out())]
-        self.arguments, self.results = list(map(np.zeros, taken)), list(map(np.zeros, given))
-        work = [ctypes.c_longlong() for _ in range(4)]
-        getattr(library, function.name() + "_work")(*map(ctypes.byref, work))
-        n_arg, n_res, n_iw, n_w = (max(1, size.value) for size in work)
+    def __init__(self, function: ca.Function, shared: ctypes.CDLL | None = None):
+        shared = library([function]) if shared is None else shared
+        self._symbol = getattr(shared, function.name())
+        self.arguments = [np.zeros(function.nnz_in(i)) for i in range(function.n_in())]
+        self.results = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
         arguments, results = ([array.ctypes.data for array in of] for of in (self.arguments, self.results))
-        pointers = (ctypes.c_void_p * n_arg)(*arguments), (ctypes.c_void_p * n_res)(*results)
-        self._memory = *pointers, (ctypes.c_longlong * n_iw)(), (ctypes.c_double * n_w)()
+        pointers = (ctypes.c_void_p * function.sz_arg())(*arguments), (ctypes.c_void_p * function.sz_res())(*results)
+        self._memory = *pointers, (ctypes.c_longlong * function.sz_iw())(), (ctypes.c_double * function.sz_w())()
 
     def __call__(self) -> list[np.ndarray]:
         """Evaluate `arguments` into `results` and return `results`."""
@@ -158,22 +147,16 @@ class CompiledFunction:
         return self.results
 
 
-def compiled(function: ca.Function) -> CompiledFunction:
-    """Compile a CasADi function, or load it from the cache, as a `CompiledFunction` with its own buffers."""
-    return CompiledFunction(library([function]), function)
-
-
 def stored(build: Callable[..., Built]) -> Callable[..., Built]:
     """Decorator that keeps the results of a function in this process and on disk.
 
-    A result on disk counts only if the version of the library (`code.version`), Python, the packages that compute, the
-    kernels of NumPy and BLAS that are asked for, and the arguments are the same, and if it has the seal of this user
-    (`cache.seal`). Otherwise it is computed again.
+    A result on disk is used only if it has the seal of this user (`cache.seal`) and if the arguments, the library
+    (`code.version`), Python, the packages that compute, and the kernels chosen for NumPy and BLAS are the same.
 
     Args:
         build (callable): Function of the library outside `railrepro.evidence`. Its arguments are positional, and their
-            `repr` must tell them apart. Its result depends on arguments and code only. The annotated type of the result
-            is one that JSON has, `casadi.Function`, `DataFrame`, or a tuple or dataclass of these.
+            `repr` tells them apart. Its result depends on arguments and code only. The annotated type of the result is
+            one that JSON has, `casadi.Function`, `DataFrame`, or a tuple or dataclass of these.
     """
     name = f"{build.__module__}.{build.__qualname__}"
 
@@ -182,10 +165,10 @@ def stored(build: Callable[..., Built]) -> Callable[..., Built]:
     def look(*arguments):
         if not code.unchanged():
             return build(*arguments)
-        asked = f"{name}{arguments!r}"
+        call = f"{name}{arguments!r}"
         kernels = [os.environ.get(variable) for variable in numerics.WITH_AVX2]
-        key = f"{code.version(), sys.version, code.packages(), kernels}{asked}"
-        file = cache.cache_folder() / f"{hashlib.sha256(asked.encode()).hexdigest()[:24]}.graph"
+        key = f"{code.version(), sys.version, code.packages(), kernels}{call}"
+        file = cache.cache_folder() / f"{hashlib.sha256(call.encode()).hexdigest()[:24]}.graph"
         with suppress(OSError):
             content = file.read_bytes()
             seal, packed = content[:32], content[32:]
@@ -194,7 +177,7 @@ def stored(build: Callable[..., Built]) -> Callable[..., Built]:
         built = build(*arguments)
         if code.unchanged():
             packed = zlib.compress(json.dumps(built, default=_plain).encode(), 1)
-            with suppress(InputError):  # it is built again next time
+            with suppress(InputError):  # otherwise it is built again next time
                 write(file, cache.seal(key, packed) + packed)
         return built
 
@@ -202,7 +185,7 @@ def stored(build: Callable[..., Built]) -> Callable[..., Built]:
 
 
 def _plain(value: Any) -> Any:
-    """What JSON has in place of a value that it does not have."""
+    """Return a stand-in for a value that JSON does not have."""
     if isinstance(value, ca.Function):
         return value.serialize()
     if isinstance(value, pd.DataFrame):
@@ -211,7 +194,7 @@ def _plain(value: Any) -> Any:
 
 
 def _restored(kind: Any, plain: Any) -> Any:
-    """Value of the type `kind` from what JSON has in its place."""
+    """Make a value of the type `kind` from JSON with the stand-ins of `_plain`."""
     if kind is ca.Function:
         return ca.Function.deserialize(plain)
     if kind is pd.DataFrame:

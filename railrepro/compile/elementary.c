@@ -4,11 +4,11 @@
    Permission to use, copy, modify, and distribute this software is freely granted, provided that this notice is
    preserved. */
 
-/* Elementary functions of generated C in place of the system's: products, sums, quotients and square roots only, without
-   branches, so that they give the same bits with every compiler, library and processor of IEEE 754, one number at a time
-   or, where this text stands again after lanes.h, several side by side. Errors stay below 2 units in the last place, for
-   sin, cos and tan up to LARGEST_ANGLE, beyond which they give no number; pow takes exponents of magnitude up to 8 and is
-   no number for negative bases. Polynomials: FDLIBM 5.3, with the notice above. */
+/* Elementary functions of generated C in place of the system's. They consist of products, sums, quotients and square roots
+   without branches, so that they give the same bits with every compiler, library and processor of IEEE 754: one number at
+   a time or, in the second copy of this text after lanes.h, several side by side. Errors stay below 2 units in the last
+   place. sin, cos and tan return NaN beyond LARGEST_ANGLE. pow takes exponents up to 8 in magnitude and returns NaN for
+   negative bases. Polynomials: FDLIBM 5.3, with the notice above. */
 
 #include <math.h>
 #include <string.h>
@@ -37,18 +37,18 @@ static inline NUMBER OWN(fmax)(NUMBER x, NUMBER y) { return OWN(pick)(y != y, x,
 static inline NUMBER OWN(fabs)(NUMBER x) { return OWN(number)(OWN(word)(x) & 0x7fffffffffffffffULL); }
 static inline NUMBER OWN(sign)(NUMBER x) { return OWN(pick)(x < 0, OWN(all)(-1.0), OWN(pick)(x > 0, OWN(all)(1.0), x)); }
 
-/* Nearest whole number of less than 51 bits, and a word whose last bits are those of it. */
+/* Nearest whole number (less than 51 bits), and a word with its last bits. */
 #define ROUNDING 6755399441055744.0
 static inline NUMBER OWN(whole)(NUMBER x) { return (x + ROUNDING) - ROUNDING; }
 static inline WORD OWN(last_bits)(NUMBER whole) { return OWN(word)(whole + ROUNDING); }
 /* The leading 26 bits: products of two such numbers are exact. */
 static inline NUMBER OWN(lead)(NUMBER x) { return OWN(number)(OWN(word)(x) & 0xfffffffff8000000ULL); }
-/* What the rounded product x y lacks of the exact one. */
+/* Rounding error of the product x y: the exact product less the rounded one. */
 static inline NUMBER OWN(rest)(NUMBER x, NUMBER y, NUMBER product) {
   NUMBER x1 = OWN(lead)(x), y1 = OWN(lead)(y), x2 = x - x1, y2 = y - y1;
   return ((x1 * y1 - product) + x1 * y2 + x2 * y1) + x2 * y2;
 }
-/* *sum + *low less part, *low what *sum is rounded by. */
+/* Subtract part from *sum; add the rounding error to *low. */
 static inline void OWN(less)(NUMBER *sum, NUMBER *low, NUMBER part) {
   NUMBER before = *sum, after = before - part, taken = before - after;
   *low += (before - (after + taken)) + (taken - part);
@@ -57,7 +57,7 @@ static inline void OWN(less)(NUMBER *sum, NUMBER *low, NUMBER part) {
 
 typedef struct { NUMBER sin, sin_low, cos, cos_low; WORD quarters; } OWN(turned);
 
-/* Sine and cosine within an eighth of a turn, with what they are rounded by, and the quarter turns taken off. */
+/* Sine and cosine within an eighth of a turn with their rounding errors, and the number of quarter turns taken off. */
 static inline OWN(turned) OWN(turn)(NUMBER x) {
   NUMBER n = OWN(whole)(x * 0x1.45f306dc9c883p-1), r = x - n * 0x1.921fb54000000p+0, t = OWN(all)(0.0);
   /* pi/2 in parts of 27 bits: their products with n below 2^26 are exact */
@@ -149,7 +149,7 @@ static NUMBER OWN(exponential)(NUMBER x, NUMBER rest) {
 }
 static NUMBER OWN(exp)(NUMBER x) { return OWN(exponential)(x, OWN(all)(0.0)); }
 
-/* Natural logarithm, and in *rest what it is rounded by. */
+/* Natural logarithm, and in *rest its rounding error. */
 static NUMBER OWN(logarithm)(NUMBER x, NUMBER *rest) {
   const double least = 0x1p-1022;
   NUMBER positive = OWN(pick)(x < least, x * 0x1p54, x);

@@ -1,5 +1,5 @@
-/* Several numbers side by side in vector registers, for functions of `compile.lanes`; elementary.c stands before and
-   after it. Masks are words of ones. */
+/* Several numbers side by side in vector registers, for functions of `compile.lanes`; elementary.c comes before and after
+   it. A mask has all bits set where it is true. */
 
 #include <math.h>
 

@@ -1,9 +1,9 @@
 """C for vector registers: several sets of arguments side by side, or mirrored operations of one set.
 
-Functions consist of scalar operations (SX) that `_OPERATIONS` translates; a KeyError names one that it does not.
-`lanes_text` evaluates a function for several sets of arguments. `pairs_text` writes a function whose inputs come in
-pairs, as those of two running gears. Two operations are twins if one does with the mirrored operands what the other
-does with its own; they become one operation of two lanes. What has no twin stays a number.
+`lanes_text` evaluates a CasADi function for several sets of arguments at once. `pairs_text` writes a function whose
+inputs come in pairs, such as those of two running gears. Two operations are twins if they do the same with mirrored
+operands. Twins become one operation on two lanes, any other operation stays one on numbers. Functions consist of scalar
+operations (SX) in `_OPERATIONS`; a KeyError names the code of another one.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from railrepro.compile.codegen import ELEMENTARY
 
 _CALLS = ("tan", "asin", "atan", "exp", "log", "sqrt", "fabs", "sign", "pow", "fmin", "fmax")
 _OPERATIONS = {
+    **{ca.OP_INPUT: "{}", ca.OP_CONST: "{}"},
     **{ca.OP_ADD: "{} + {}", ca.OP_SUB: "{} - {}", ca.OP_MUL: "{} * {}", ca.OP_DIV: "{} / {}"},
     **{ca.OP_NEG: "-{}", ca.OP_SQ: "{0} * {0}", ca.OP_TWICE: "{0} + {0}", ca.OP_INV: "{own}all(1.0) / {}"},
     **{getattr(ca, f"OP_{name.upper()}"): f"{{own}}{name}({{all}})" for name in _CALLS},
@@ -29,35 +30,18 @@ _OPERATIONS = {
         (ca.OP_NOT, "{} == 0"), (ca.OP_AND, "({} != 0) & ({} != 0)"), (ca.OP_OR, "({} != 0) | ({} != 0)"),
     )},
 }  # fmt: skip
-"""C of an operation (`ca.OP_…`) on operands, which `all` lists; `own` is the prefix of functions of elementary.c."""
+"""Operation (`ca.OP_…`) -> its C; `all` is the list of operands, `own` the prefix of functions of elementary.c."""
 
 
 class Statements:
-    """C statements that each define one constant, of type double or of the vector type `lanes_t` (lanes.h).
-
-    Attributes:
-        lines (list of str): The statements so far; each method appends to it.
-    """
+    """C statements `lines` that each define a constant: a double or, if `wide`, a vector `lanes_t` (lanes.h)."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
         self._turned: dict[str, str] = {}
 
-    def name(self, text: str, wide: bool) -> str:
-        """Append a constant with the C expression `text` as its value and return its name. `wide`: type lanes_t, else
-        double."""
-        found = f"t{len(self.lines)}"
-        self.lines.append(f"const {'lanes_t' if wide else 'double'} {found} = {text};")
-        return found
-
     def operation(self, kind: int, values: Sequence[str], wide: bool) -> str:
-        """Append a constant that is the result of an operation, and return its name.
-
-        Args:
-            kind (int): CasADi code of the operation, `ca.OP_…`.
-            values (sequence of str): Names of the operands.
-            wide (bool): True for lanes_t, False for double.
-        """
+        """Append a constant, the result of the operation `kind` (`ca.OP_…`) on these values, and return its name."""
         own = "lanes_" if wide else "own_"
         if kind in (ca.OP_SIN, ca.OP_COS):
             (angle,) = values
@@ -65,107 +49,106 @@ class Statements:
                 self._turned[angle] = f"both{len(self.lines)}"
                 self.lines.append(f"const {own}pair_t {self._turned[angle]} = {own}both({angle});")
             part = (".sin", ".cos") if wide else ("[0]", "[1]")
-            return self.name(self._turned[angle] + part[kind == ca.OP_COS], wide)
-        return self.name(_OPERATIONS[kind].format(*values, own=own, all=", ".join(values)), wide)
+            text = self._turned[angle] + part[kind == ca.OP_COS]
+        else:
+            text = _OPERATIONS[kind].format(*values, own=own, all=", ".join(values))
+        name = f"t{len(self.lines)}"
+        self.lines.append(f"const {'lanes_t' if wide else 'double'} {name} = {text};")
+        return name
 
 
 def lanes_header(lanes: int = 4) -> str:
-    """C source to place between `codegen.source_text` and the text of `lanes_text` or `pairs_text`. `lanes` is the
-    number of doubles per register: 4 for `lanes_text`, 2 for `pairs_text`."""
+    """Write the C that comes between `codegen.source_text` and a text of `lanes_text` (4 lanes) or `pairs_text` (2)."""
     return f"#define LANES {lanes}\n{Path(__file__).with_name('lanes.h').read_text(encoding='utf-8')}{ELEMENTARY}"
 
 
 def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:
-    """C source of a function that is evaluated for several sets of arguments at once, one set per lane of a register.
+    """Write C that evaluates a function for several sets of arguments at once, one set per lane of a register.
 
     Args:
-        function (casadi.Function): Function of scalars (SX): sums, products, quotients, elementary functions, choices.
+        function (casadi.Function): Function called NAME.
         common (sequence of str): Inputs with one value for all sets. What depends on these alone is computed once.
 
     Returns:
-        str: `static void NAME_lanes(...)`, with NAME of the function. Its arguments are the inputs, then the
-            outputs: arrays of their nonzeros in CasADi's order, of double for common inputs, else of lanes_t, the
-            vector of lanes.h with one double per set.
+        str: C function `static void NAME_lanes(...)`. Its arguments are the inputs, then the outputs, as arrays of
+            their nonzeros in CasADi's order: of double for common inputs, else of lanes_t with one double per set.
     """
     inputs, outputs = function.name_in(), function.name_out()
     kinds = ["double" if name in common else "lanes_t" for name in inputs]
     signature = [f"const {kind} *in_{name}" for kind, name in zip(kinds, inputs, strict=True)]
     signature += [f"lanes_t *out_{name}" for name in outputs]
     nodes, results = graph(function)
-    body, found = Statements(), list[tuple[str, bool]]()
+    body, constants = Statements(), list[tuple[str, bool]]()
+
+    def widened(value: str, is_wide: bool) -> str:
+        return value if is_wide else f"lanes_all({value})"
+
     for kind, *of in nodes:
         if kind == ca.OP_CONST:
-            wide, name = False, body.name(repr(of[0]), False)
+            operands = [(repr(of[0]), False)]
         elif kind == ca.OP_INPUT:
-            wide = kinds[of[0]] == "lanes_t"
-            name = body.name(f"in_{inputs[of[0]]}[{of[1]}]", wide)
+            operands = [(f"in_{inputs[of[0]]}[{of[1]}]", kinds[of[0]] == "lanes_t")]
         else:
-            operands = [found[operand] for operand in of]
-            wide = any(is_wide for _, is_wide in operands)
-            values = [value if is_wide or not wide else f"lanes_all({value})" for value, is_wide in operands]
-            name = body.operation(kind, values, wide)
-        found.append((name, wide))
+            operands = [constants[operand] for operand in of]
+        wide = any(is_wide for _, is_wide in operands)
+        values = [widened(*one) if wide else one[0] for one in operands]
+        constants.append((body.operation(kind, values, wide), wide))
     for to, entry, node in results:
-        value, wide = found[node]
-        body.lines.append(f"out_{outputs[to]}[{entry}] = {value if wide else f'lanes_all({value})'};")
+        body.lines.append(f"out_{outputs[to]}[{entry}] = {widened(*constants[node])};")
     text = "\n  ".join(body.lines)
     return f"static void {function.name()}_lanes({', '.join(signature)}) {{\n  {text}\n}}\n"
 
 
 _PIECE = 1000
-"""Number of statements from which a C function is split. The time of a compiler grows much faster than the length of a
-function: for the step of the car gcc takes 5 s in place of 16 s, and the result is as fast."""
+"""Number of statements at which a C function is split, since the time of compilers grows faster than the length."""
 _NAME, _DEFINED = re.compile(r"\b(?:t|both)\d+\b"), re.compile(r"const (\w+) (\w+) = ")
 _COMMUTING = (ca.OP_ADD, ca.OP_MUL)
 _LEAVES = (ca.OP_INPUT, ca.OP_CONST)
 
 
 def pairs_text(function: ca.Function, mirrored: Mapping[str, Sequence[int]]) -> str:
-    """C source of a CasADi function in which an operation and its mirror image share one vector register.
+    """Write C of a CasADi function in which an operation and its mirror image share one vector register.
 
-    The C function has the signature of the one that CasADi generates, and its results have the same bits. `mirrored`
-    decides how many operations share a register, not the results.
+    The C function has the signature of the one that CasADi generates, and its results have the same bits.
 
     Args:
-        function (casadi.Function): Function of the scalar operations in `_OPERATIONS`.
+        function (casadi.Function): The function.
         mirrored (mapping): Name of an input -> list of int: for each entry the index of its mirror image, such as the
-            same quantity at the other running gear, or its own index. An input that is not listed has no mirror images.
+            same quantity at the other running gear, or its own index. Other inputs have no mirror images.
     """
     nodes, outputs = graph(function)
     twins = _twins(nodes, [mirrored.get(name) for name in function.name_in()])
-    body, found = Statements(), dict[int, str]()
-    lanes: dict[str, str] = {}  # by their first number
+    body, values = Statements(), dict[int, str]()
+    registers: dict[str, str] = {}  # number in the first lane -> its register
     for node, (kind, *of) in enumerate(nodes):
-        if node in found:
+        if node in values:
             continue
         twin, of_twin = twins[node]
-        wide = twin != node and twin not in found and found.keys() >= {*of_twin}
+        wide = twin != node and twin not in values and values.keys() >= {*of_twin}
         if kind in _LEAVES:
             pairs = [(_leaf(nodes[node]), _leaf(nodes[twin]))]
         else:
-            pairs = [(found[operand], found[other]) for operand, other in zip(of, of_twin if wide else of, strict=True)]
-        values = [_lanes(*pair, lanes) if wide else pair[0] for pair in pairs]
-        name = body.name(values[0], wide) if kind in _LEAVES else body.operation(kind, values, wide)
-        found[node] = f"{name}[0]" if wide else name
+            pairs = [(values[one], values[other]) for one, other in zip(of, of_twin if wide else of, strict=True)]
+        operands = [_lanes(*pair, registers) if wide else pair[0] for pair in pairs]
+        name = body.operation(kind, operands, wide)
+        values[node] = f"{name}[0]" if wide else name
         if wide:
-            found[twin], lanes[found[node]] = f"{name}[1]", name
-    return _called(function, body.lines, [(*place, found[node]) for *place, node in outputs])
+            values[twin], registers[values[node]] = f"{name}[1]", name
+    results = [f"if (res[{to}]) res[{to}][{entry}] = {values[node]};" for to, entry, node in outputs]
+    return _in_pieces(function.name(), [*body.lines, *results])
 
 
 def _leaf(node: tuple) -> str:
-    """C of an input or of a constant."""
+    """Write the C of a node that is an input or a constant."""
     kind, *of = node
     return f"arg[{of[0]}][{of[1]}]" if kind == ca.OP_INPUT else repr(of[0])
 
 
 def graph(function: ca.Function) -> tuple[list[tuple], list[tuple]]:
-    """Operations of a CasADi function (SX), in the order of evaluation. Equal operations on equal operands occur once.
-
-    Returns:
-        nodes (list of tuple): One tuple per node, which starts with its kind `ca.OP_…`. Indices of its operands in
-            `nodes` follow; for `ca.OP_INPUT` index of the input and of the entry; for `ca.OP_CONST` the value.
-        outputs (list of tuple): One tuple per entry of an output: index of output, of entry, of node.
-    """
+    """List the operations of a CasADi function (SX) in the order of evaluation, equal ones once: two lists of tuples.
+    The first list has a node for each operation: its kind `ca.OP_…`, then the indices of its operands in this list; for
+    `ca.OP_INPUT` the indices of input and entry, for `ca.OP_CONST` the value. The second list has the indices of
+    output, entry and node for each entry of an output."""
     nodes: list[tuple] = []
     index: dict[tuple, int] = {}
     slots: dict[int, int] = {}
@@ -185,7 +168,7 @@ def graph(function: ca.Function) -> tuple[list[tuple], list[tuple]]:
 
 
 def _twins(nodes: list[tuple], partners: list[Sequence[int] | None]) -> list[tuple[int, tuple[int, ...]]]:
-    """Twin of each node, itself where it has none, and operands of the twin in the order of the node's own."""
+    """Find the twin of each node, itself if it has none, with its operands in the order of those of the node."""
     index = {node: i for i, node in enumerate(nodes)}
     for i, (kind, *of) in enumerate(nodes):
         if kind in _COMMUTING:
@@ -208,55 +191,36 @@ def _twins(nodes: list[tuple], partners: list[Sequence[int] | None]) -> list[tup
     return found
 
 
-def _lanes(one: str, other: str, lanes: Mapping[str, str]) -> str:
-    """Lanes of two numbers, as they lie in a register or put together."""
-    if one in lanes and other == f"{lanes[one]}[1]":
-        return lanes[one]
+def _lanes(one: str, other: str, registers: Mapping[str, str]) -> str:
+    """Write the C of two lanes with these numbers: the register that has them, or a new one."""
+    if one in registers and other == f"{registers[one]}[1]":
+        return registers[one]
     return f"lanes_all({one})" if one == other else f"lanes_of({one}, {other})"
 
 
-def _called(function: ca.Function, lines: list[str], outputs: list[tuple]) -> str:
-    """A C function of CasADi's form with its companion for the size of its memory."""
-    name = function.name()
-    body = [*lines, *(f"if (res[{to}]) res[{to}][{entry}] = {value};" for to, entry, value in outputs)]
-    memory, pieces = _in_pieces(body)
-    sizes = zip(("arg", "res", "iw", "w"), (function.n_in(), function.n_out(), 0, 0), strict=True)
-    work = " ".join(f"if ({size}) *{size} = {value};" for size, value in sizes)
-    text = f"typedef struct {{ {memory} }} {name}_t;\n"
-    for k, piece in enumerate(pieces):
-        inside = "\n  ".join(piece)
-        text += f"static __attribute__((noinline)) void {name}_{k}(const double **arg, double **res, {name}_t *m) {{\n"
-        text += f"  {inside}\n}}\n"
-    calls = " ".join(f"{name}_{k}(arg, res, &m);" for k in range(len(pieces)))
-    return f"""{text}
-int {name}(const double **arg, double **res, casadi_int *iw, double *w, int memory) {{
-  {name}_t m;
-  {calls}
-  return 0;
-}}
-int {name}_work(casadi_int *arg, casadi_int *res, casadi_int *iw, casadi_int *w) {{ {work} return 0; }}
-"""
-
-
-def _in_pieces(lines: list[str]) -> tuple[str, list[list[str]]]:
-    """Split statements into pieces of `_PIECE`, between which constants pass through arrays in a struct `*m`. Returns
-    the members of this struct and the pieces. An element is used again once no later piece needs its constant."""
+def _in_pieces(name: str, lines: list[str]) -> str:
+    """Write a C function like those that CasADi generates, which calls one function for each `_PIECE` statements. These
+    pass constants on in a struct `*m`. An element of it is used again once no later piece needs its constant."""
     pieces = [lines[k : k + _PIECE] for k in range(0, len(lines), _PIECE)]
-    last = {name: k for k, piece in enumerate(pieces) for line in piece for name in _NAME.findall(line)}
-    passed: dict[str, str] = {}  # name of a constant -> its element
+    last = {constant: k for k, piece in enumerate(pieces) for line in piece for constant in _NAME.findall(line)}
+    passed: dict[str, str] = {}  # constant -> its element
     free: dict[str, list[str]] = defaultdict(list)
     sizes: Counter[str] = Counter()
-    found: list[list[str]] = []
+    text, calls = "", ""
     for k, piece in enumerate(pieces):
-        found.append([])
+        text += f"static __attribute__((noinline)) void {name}_{k}(const double **arg, double **res, {name}_t *m) {{\n"
         for line in piece:
-            found[-1].append(_NAME.sub(lambda name: passed.get(name[0], name[0]), line))
-            kind, name = _DEFINED.findall(line)[0] if line.startswith("const ") else ("", "")
-            if last.get(name, k) > k:
+            text += f"  {_NAME.sub(lambda constant: passed.get(constant[0], constant[0]), line)}\n"
+            kind, constant = _DEFINED.findall(line)[0] if line.startswith("const ") else ("", "")
+            if last.get(constant, k) > k:
                 sizes[kind] += not free[kind]
-                passed[name] = free[kind].pop() if free[kind] else f"m->of_{kind}[{sizes[kind] - 1}]"
-                found[-1].append(f"{passed[name]} = {name};")
-        for name in [name for name in passed if last[name] == k]:
-            element = passed.pop(name)
+                passed[constant] = free[kind].pop() if free[kind] else f"m->of_{kind}[{sizes[kind] - 1}]"
+                text += f"  {passed[constant]} = {constant};\n"
+        for constant in [constant for constant in passed if last[constant] == k]:
+            element = passed.pop(constant)
             free[element[len("m->of_") : element.index("[")]].append(element)
-    return " ".join(f"{kind} of_{kind}[{size}];" for kind, size in sizes.items()), found
+        text += "}\n"
+        calls += f"  {name}_{k}(arg, res, &m);\n"
+    members = " ".join(f"{kind} of_{kind}[{size}];" for kind, size in sizes.items())
+    signature = f"int {name}(const double **arg, double **res, casadi_int *iw, double *w, int memory)"
+    return f"typedef struct {{ {members} }} {name}_t;\n{text}{signature} {{\n  {name}_t m;\n{calls}  return 0;\n}}\n"

@@ -1,6 +1,5 @@
-"""Fewer divisions: a denominator that divides several numerators is inverted once and multiplied. Derivatives and
-factorisations divide row after row by the same number, and CasADi writes each x (1/y) as x/y. A division costs about as
-much as five multiplications."""
+"""Fewer divisions: a denominator that divides several numerators is inverted once. A division costs about as much as
+five multiplications."""
 
 from __future__ import annotations
 
@@ -12,25 +11,22 @@ from railrepro.compile.lanes import graph
 
 
 def share_reciprocals(function: ca.Function) -> ca.Function:
-    """Function with equal values up to rounding that divides less: 1/y is computed once where y divides several times.
-
-    Args:
-        function (casadi.Function): Function of scalar operations (SX). Names, inputs and outputs stay the same.
-    """
+    """Replace the divisions x/y of a CasADi function (SX) by x (1/y) where y divides several times. The function that
+    is returned has the same name, inputs and outputs, and equal values up to rounding."""
     nodes, outputs = graph(function)
-    uses = Counter(of[-1] for kind, *of in nodes if kind in (ca.OP_DIV, ca.OP_INV))
+    divided = Counter(of[-1] for kind, *of in nodes if kind in (ca.OP_DIV, ca.OP_INV))
     arguments = [ca.SX.sym(name, function.sparsity_in(i)) for i, name in enumerate(function.name_in())]
     results = [ca.SX.zeros(function.sparsity_out(i)) for i in range(function.n_out())]
     reciprocals: dict[int, ca.SX] = {}
     values: list[ca.SX] = []
-    ca.GlobalOptions.setSimplificationOnTheFly(False)  # it turns x (1/y) into x/y
+    ca.GlobalOptions.setSimplificationOnTheFly(False)  # it would turn x (1/y) into x/y
     try:
         for kind, *of in nodes:
             if kind == ca.OP_INPUT:
                 values.append(arguments[of[0]].nz[of[1]])
             elif kind == ca.OP_CONST:
                 values.append(ca.SX(of[0]))
-            elif kind in (ca.OP_DIV, ca.OP_INV) and uses[of[-1]] > 1:
+            elif kind in (ca.OP_DIV, ca.OP_INV) and divided[of[-1]] > 1:
                 inverse = reciprocals.setdefault(of[-1], 1 / values[of[-1]])
                 values.append(inverse if kind == ca.OP_INV else values[of[0]] * inverse)
             else:

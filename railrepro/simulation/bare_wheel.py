@@ -98,7 +98,7 @@ def simulate(vehicle: Vehicle, cases: Sequence[Case], speed, demand) -> Traces:
     """
     demand = np.asarray(demand, dtype=float)
     demand = np.ascontiguousarray(np.broadcast_to(demand.reshape(len(demand), -1), (len(demand), len(cases))))
-    call = codegen.compiled(_cycle(vehicle).map("bare_wheels", "serial", len(cases), [], []))
+    call = codegen.CompiledFunction(_cycle(vehicle).map("bare_wheels", "serial", len(cases), [], []))
     state, f_star, numbers = call.arguments
     numbers[:] = np.array([pack(case) for case in cases], dtype=float).ravel()
     start, index = np.zeros((len(cases), len(names(_State)))), indices(_State)

@@ -57,8 +57,8 @@ class ClosedLoop:
         columns (tuple of str): Columns that `run` returns: outputs of the car, then what the law logs.
     """
 
-    held = codegen.InC()
-    memory = codegen.InC()
+    held = codegen.in_c("held")
+    memory = codegen.in_c("memory")
     state = property(lambda self: self.car.state)
 
     def __init__(self, car: SteppedCar, control: law.ControlLaw):

@@ -1,4 +1,4 @@
-"""Suspension of the car against hand formulas: modes with damping, sway in an arc, heights of springs and links."""
+"""Suspension of the car against hand formulas: damped modes, heights of springs and links, sway in an arc."""
 
 import numpy as np
 import pytest
@@ -27,17 +27,14 @@ def modes(matrix):
 
 
 def hand_modes(inertia, lever, stiffness, damping):
-    """Modes of coordinates whose lateral deflection at the four springs is lever @ q, with further springs, dampers."""
+    """Modes of coordinates q with lateral deflection lever @ q at the four springs, and further springs, dampers."""
     square, inverse, unit = 4 * np.outer(lever, lever), np.diag(1 / np.array(inertia)), np.eye(len(inertia))
     stiffness, damping = SPRING.k_y * square + stiffness, SPRING.c_y * square + damping
     return modes(np.block([[0 * unit, unit], [-inverse @ stiffness, -inverse @ damping]]))
 
 
 def test_body_against_free_carriers_without_friction():
-    """Sway: body, its roll, both carriers alike. Yaw: body, carriers opposite to each other, their own yaw.
-
-    The wheels are all but cylinders, so the rails carry, but do not guide.
-    """
+    """Sway: body, its roll, both carriers alike. Yaw: body, opposite carriers, their yaw. Cylinders are not guided."""
     car = SteppedCar("T5", 50.0, load_vehicle(**{"contact.profile": "cone", "wheel.cone_angle": 1e-6}))
     for i, name in enumerate(equations.PARAMETERS):
         if name.endswith(".mu0"):
@@ -56,7 +53,7 @@ def test_body_against_free_carriers_without_friction():
 
 
 def test_springs_and_link_act_at_their_heights():
-    """What a displacement of the front carrier turns: forces times height, and the preload that wanders."""
+    """A displacement of the front carrier turns bodies by force times height, and by the preload off centre."""
     car = SteppedCar("T5", 50.0, V)
     car.step(steps=1000)
     rolling = car.linearise().a
@@ -75,7 +72,7 @@ def test_springs_and_link_act_at_their_heights():
 
 
 def test_pitch_rods_turn_a_rolled_carrier_in_yaw():
-    """About z_body x x_carrier the reaction has the part (reaction x relative roll) about the carrier's yaw axis."""
+    """The reaction about z_body x x_carrier times the relative roll turns about the yaw axis of the carrier."""
     turning, usual = [], SPRING.pitch_stiffness
     for factor in (1.0, 2.0):
         car = SteppedCar("T5", 20.0, load_vehicle(**{"suspension.pitch_stiffness": factor * usual}))
@@ -86,10 +83,7 @@ def test_pitch_rods_turn_a_rolled_carrier_in_yaw():
 
 @pytest.mark.parametrize(("track", "clearance"), [("T2", None), ("T3", None), ("T4", None), ("T4", 0.035)])
 def test_sway_of_the_body_in_an_arc(track, clearance):
-    """Lateral offset and roll of the body under the unbalanced acceleration; off the bump stops at their clearance.
-
-    What wheels and rails exert on the car is its weight and centrifugal force.
-    """
+    """Offset and roll of the body, without and with bump stops; the rails carry weight and centrifugal force."""
     bumps = clearance is not None
     vehicle = load_vehicle(**{"suspension.bump_clearance": clearance}) if bumps else V
     geometry = load_track(track)
@@ -110,12 +104,9 @@ def test_sway_of_the_body_in_an_arc(track, clearance):
     versine = BODY.gear_spacing**2 * kappa / 8
     assert log["body.phi"] == pytest.approx(-roll, rel=0.02)
     assert log["body.y"] - versine == pytest.approx(-(deflection + BELOW * roll), rel=0.02)
-    down, sideways = 0.0, 0.0
-    for wheel in equations.WHEELS:
-        load, creep, angle = (log[f"{wheel}.{name}"] for name in ("N", "Fy", "angle"))
-        sign = 1 if wheel.endswith("ri") else -1
-        down += load * np.cos(angle) + sign * creep * np.sin(angle)
-        sideways += creep * np.cos(angle) - sign * load * np.sin(angle)
+    load, creep, angle = (log[[f"{wheel}.{name}" for wheel in equations.WHEELS]] for name in ("N", "Fy", "angle"))
+    load, creep, angle = load.to_numpy(), creep.to_numpy(), np.array([-1, 1, -1, 1]) * angle.to_numpy()
+    down, sideways = (load @ np.cos(angle) + creep @ np.sin(angle)), (creep @ np.cos(angle) - load @ np.sin(angle))
     over_body = 1 + 2 * GEAR.mass / BODY.mass
     assert down == pytest.approx(over_body * pressed, rel=2e-3)
     assert sideways == pytest.approx(over_body * outwards, abs=300)

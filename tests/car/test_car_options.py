@@ -1,4 +1,4 @@
-"""Rails that move, flanges and the floor of the car, with their energy; lines that are planned over the rails."""
+"""Irregular rails, flanges and the floor of the car; preview of irregular rails."""
 
 import numpy as np
 import pandas as pd
@@ -16,7 +16,7 @@ from railrepro.vehicle.parameters import load_vehicle
 
 
 def lay(**channels):
-    """T5 with channels that rise within 20 m from p = 30 m on and stay."""
+    """T5 with irregularities that rise from p = 30 m to 50 m and stay."""
     p = np.arange(0.0, 900.0, route.CELL)
     rise = np.clip((p - 30) / 20, 0, 1)
     frame = pd.DataFrame({"p_m": p} | {c: channels.get(name, 0.0) * rise for name, c in CHANNELS.items()})
@@ -24,7 +24,7 @@ def lay(**channels):
 
 
 def thrown(sideways):
-    """A car at 400 km/h whose gears are thrown to the right (m/s)."""
+    """A car at 400 km/h whose running gears start with a speed to the right (m/s)."""
     car = SteppedCar("T5", 111.0)
     car.state[equations.indices("front.vy", "rear.vy")] = sideways
     return car
@@ -55,37 +55,33 @@ def test_energy_balances_on_rails_that_move_and_at_the_flange(car, steps, period
 
 
 def test_floor_accelerations_are_those_of_points_in_space():
-    """Second differences of the floor's place, less gravity, in axes of the body, while the car sways."""
+    """Second differences of a point of the floor less gravity, in axes of the body, while the car sways."""
     vehicle = load_vehicle()
     car = SteppedCar(lay(lateral=8e-3, crosslevel=4e-3), 30.0, vehicle)
     car.step(steps=1200)
     lever = np.array([vehicle.body.gear_spacing / 2, 0.0, vehicle.body.cg_height - vehicle.body.floor_height])
-    places, h = [], 1e-3
+    centre = equations.indices("body.s", "body.y", "body.z")
+    angles = equations.indices("body.psi", "body.pitch", "body.phi")
+    points, attitudes, felt, h = [], [], [], 1e-3
     for _ in range(3):
-        state = dict(zip(car.model.states, car.state, strict=True))
-        centre = np.array([state["body.s"], state["body.y"], state["body.z"]])  # a straight level track
-        angles = [state[f"body.{name}"] for name in ("psi", "pitch", "phi")]
-        attitude = Rotation.from_euler("ZYX", angles).as_matrix()
-        places.append(centre + attitude @ lever)
-        if len(places) == 2:
-            felt, turned = car.outputs, attitude
+        attitudes.append(Rotation.from_euler("ZYX", car.state[angles]).as_matrix())
+        points.append(car.state[centre] + attitudes[-1] @ lever)  # on a straight level track
+        felt.append(car.outputs)
         car.step(period=h)
-    acceleration = (places[0] - 2 * places[1] + places[2]) / h**2
-    expected = turned.T @ (acceleration - [0, 0, vehicle.gravity])
-    assert [felt[f"floor_front.a{axis}"] for axis in "xyz"] == pytest.approx(expected, abs=2e-3)
+    acceleration = (points[0] - 2 * points[1] + points[2]) / h**2
+    expected = attitudes[1].T @ (acceleration - [0, 0, vehicle.gravity])
+    assert [felt[1][f"floor_front.a{axis}"] for axis in "xyz"] == pytest.approx(expected, abs=2e-3)
     assert abs(expected[1]) > 0.02
 
 
 def test_a_planned_line_is_added_to_the_set_point():
     at = np.arange(20.0, 60.0, 2.0)
-    cubic = np.array([1e-3 + 0 * at, 2e-5 + 0 * at, -1e-6 + 0 * at, 3e-8 + 0 * at])
+    cubic = np.outer([1e-3, 2e-5, -1e-6, 3e-8], np.ones(len(at)))
     reference = route.reference(route.SetPoint(1, 2e-3, 150.0, 150.0, 0.0, 1e6, 30.0))
     plain, both = (route.lay(load_track("T5"), reference, line=line) for line in (None, (at, cubic)))
     inside, outside = np.array([31.25]), np.array([10.0, 70.0])
-    d = 1.0  # cells begin every half metre: the one at 31 m lies 1 m behind the coordinate 30 m
-    start = 1e-3 + 2e-5 * d - 1e-6 * d**2 / 2 + 3e-8 * d**3 / 6
-    slope = 2e-5 - 1e-6 * d + 3e-8 * d**2 / 2
-    expected = start + slope * 0.25 + (-1e-6 + 3e-8 * d) * 0.25**2 / 2 + 3e-8 * 0.25**3 / 6
+    d = 1.25  # from the node at 30 m
+    expected = 1e-3 + 2e-5 * d - 1e-6 * d**2 / 2 + 3e-8 * d**3 / 6
     added = both.reference_at(inside)[0] - plain.reference_at(inside)[0]
     assert added == pytest.approx([expected], rel=1e-9)
     assert np.array_equal(both.reference_at(outside), plain.reference_at(outside))
@@ -93,11 +89,9 @@ def test_a_planned_line_is_added_to_the_set_point():
 
 def test_preview_makes_the_set_point_follow_the_rails():
     scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=160, end_m=200)
-    numbers = {"pole": 30.0, "frequency": 30.0, "damping": 1.0}
+    given = {"parameters": {"pole": 30.0, "frequency": 30.0, "damping": 1.0}, "irregular": {"spectrum": "en_B_300"}}
     errors = {}
     for name, known in (("none", {}), ("exact", {"share": 1.0}), ("late", {"localisation_error_m": 10.0})):
-        experiment = Experiment(
-            scenario, "ndi_feedforward", parameters=numbers, irregular={"spectrum": "en_B_300"}, preview=known
-        )
+        experiment = Experiment(scenario, "ndi_feedforward", preview=known, **given)
         errors[name] = experiment()[0]["rail_rmse_y"]
     assert errors["exact"] < 0.6 * errors["none"] and errors["late"] > 1.5 * errors["exact"]

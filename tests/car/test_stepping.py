@@ -65,14 +65,12 @@ def test_linearisation_names_its_rows_and_columns():
 
 @pytest.mark.parametrize("y", [0.0, 1e-4, 3e-4, 1e-3, -2e-3])
 def test_linearisation_at_a_node_of_the_contact_table_is_that_beside_it(y):
-    """S1002, whose nodes are 0.1 mm apart; a tie of the clamps at a node would halve slopes. Cells differ by 13 %."""
-    car = SteppedCar("T5", 20.0, load_vehicle(**{"contact.profile": "s1002"}))
-    state, places, slopes = car.state.copy(), equations.indices("front.y", "rear.y"), []
+    """Nodes of S1002 are 0.1 mm apart, and cells differ by 13 %. A tie of the clamps at a node would halve slopes."""
+    car, lateral, slopes = SteppedCar("T5", 20.0), ["front.y", "rear.y"], []
     for apart in (-1e-7, 0.0, 1e-7):
-        car.state[:] = state
-        car.state[places] = y + apart
-        slopes.append(car.linearise().a.loc[[f"w.{wheel}" for wheel in equations.WHEELS], ["front.y", "rear.y"]])
-    before, at, after = (slope.to_numpy() for slope in slopes)
+        car.state[equations.indices(*lateral)] = y + apart
+        slopes.append(car.linearise().a.loc[[f"w.{wheel}" for wheel in equations.WHEELS], lateral].to_numpy())
+    before, at, after = slopes
     scale = np.abs(at).max()
     low, high = np.minimum(before, after) - 2e-3 * scale, np.maximum(before, after) + 2e-3 * scale
     assert ((at >= low) & (at <= high)).all()
@@ -96,7 +94,7 @@ def test_time_counts_the_steps_torques_are_held_and_the_state_that_leaves_all_bo
 
 
 def test_an_edited_contact_table_moves_the_wheels_at_rest():
-    """The state at rest is kept between runs by the content of the table, not by the object."""
+    """The state at rest is stored by the content of the table, not by the object."""
     table = contact_table("cone", load_vehicle())
     before = SteppedCar("T1", 20.0, table=table).state.copy()
     table.frame["normal_stiffness"] *= 0.5

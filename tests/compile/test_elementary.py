@@ -1,4 +1,4 @@
-"""Elementary functions of generated C: their errors, and the same bits one by one, side by side, however optimised."""
+"""Elementary functions of generated C: their errors, and the same bits one by one, side by side and when optimised."""
 
 import ctypes
 import shutil
@@ -50,7 +50,7 @@ def _compiled(options: str = "") -> ctypes.CDLL:
 
 
 def _values(name: str, x: np.ndarray, y: np.ndarray | None = None, options: str = "") -> np.ndarray:
-    """Values, one by one; those side by side have the same bits."""
+    """Values of a function one by one, which have the same bits side by side."""
     fill = -len(x) % 8
     x, y = (np.append(v, np.ones(fill)) for v in (x, x if y is None else y))
     one, wide = np.zeros((2, len(x)))
@@ -64,9 +64,8 @@ def _values(name: str, x: np.ndarray, y: np.ndarray | None = None, options: str 
 def _arguments(name: str) -> np.ndarray:
     if name in ("sin", "cos", "tan"):
         quarters = [float(k * mp.pi / 2) for k in (*range(1, 200), 12345, 2**20 + 1, 2**25 + 1, 6 * 10**7)]
-        return np.concatenate(
-            [RNG.uniform(-3, 3, N), RNG.uniform(-1e8, 1e8, N), 10 ** RNG.uniform(-300, 0, N), quarters, SPECIAL]
-        )
+        drawn = RNG.uniform(-3, 3, N), RNG.uniform(-1e8, 1e8, N), 10 ** RNG.uniform(-300, 0, N)
+        return np.concatenate([*drawn, quarters, SPECIAL])
     return np.concatenate([SPECIAL, *{
         "asin": (RNG.uniform(-1, 1, N), 1 - 10 ** RNG.uniform(-16, -1, N)),
         "atan": (RNG.uniform(-3, 3, N), 10 ** RNG.uniform(-300, 300, N)),
@@ -126,15 +125,12 @@ def test_bits_do_not_depend_on_the_optimisation(options):
         np.testing.assert_array_equal(_values(name, x, options=options), _values(name, x))
 
 
+@pytest.mark.skipif(shutil.which("nm") is None, reason="there is no nm")
 def test_generated_code_does_without_the_system_s_functions():
-    if shutil.which("nm") is None:
-        pytest.skip("there is no nm")
     loaded = [component.library(), riccati._compiled("corrected", "rk4")[0]]
     limits = {"lateral_limit": 1.0, "track_end": 1.0, "stop_speed": 0.0}
     loaded.append(closed_loop.library(law.control_law(load_vehicle(), NDI(), **limits).signature)[0])
     for library in loaded:
-        done = subprocess.run(
-            ["nm", "-D", "--undefined-only", library._name], capture_output=True, text=True, check=True
-        )
-        wanted = {line.split()[1].partition("@")[0] for line in done.stdout.splitlines() if line.split()[0] == "U"}
+        listed = subprocess.check_output(["nm", "-D", "--undefined-only", library._name], text=True)
+        wanted = {line.split()[1].partition("@")[0] for line in listed.splitlines() if line.split()[0] == "U"}
         assert wanted <= {"memcpy", "memset", "memmove", "sqrt", "floor", "fabs"}, wanted

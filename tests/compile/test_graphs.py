@@ -1,5 +1,6 @@
-"""Stored graphs: the same as derived ones, for this very code, and for nothing else."""
+"""Stored graphs equal derived ones, and are used only if code and settings are the same."""
 
+import json
 import pickle
 import zlib
 from dataclasses import dataclass
@@ -57,10 +58,6 @@ def test_what_was_built_once_is_read_by_the_next_process(counted):
     assert built == [3, 4]
 
 
-def other_digit(content):
-    return content[:-20] + bytes([content[-20] ^ 1]) + content[-19:]
-
-
 class Shout:
     def __reduce__(self):
         return pytest.fail, ("a pickle was executed",)
@@ -69,28 +66,25 @@ class Shout:
 @pytest.mark.parametrize(
     "spoil",
     [
-        lambda content: content[:-1],
-        other_digit,
+        lambda content: content[:-20] + bytes([content[-20] ^ 1]) + content[-19:],
         lambda content: b"",
         lambda content: content[:32] + zlib.compress(pickle.dumps(Shout())),
-        lambda content: content[:32] + zlib.compress(b"3"),
     ],
+    ids=["another digit", "empty", "a pickle"],
 )
 def test_a_broken_file_or_one_of_other_code_is_built_again(counted, spoil, monkeypatch):
     look, built, file = counted
     file.write_bytes(spoil(file.read_bytes()))
-    for _ in range(2):
+    for change in (
+        lambda: None,
+        lambda: None,
+        lambda: monkeypatch.setattr(code, "version", lambda: "other"),
+        lambda: monkeypatch.setenv("OPENBLAS_CORETYPE", "Nehalem"),  # other kernels may round otherwise
+    ):
+        change()
         look.cache_clear()
         look(3)
-    assert built == [3, 3]
-    monkeypatch.setattr(code, "version", lambda: "other")
-    look.cache_clear()
-    look(3)
-    assert built == [3, 3, 3]
-    monkeypatch.setenv("OPENBLAS_CORETYPE", "Nehalem")  # other kernels may round otherwise
-    look.cache_clear()
-    look(3)
-    assert built == [3, 3, 3, 3]
+    assert built == 4 * [3]
 
 
 @pytest.mark.parametrize(
@@ -107,11 +101,6 @@ def test_a_stored_graph_gives_the_same_c_source_as_the_derived_one(build, argume
     read, derived = build(*arguments), build.__wrapped__.__wrapped__(*arguments)
 
     def text(value):
-        value = vars(value) if isinstance(value, equations.Car) else value
-        if isinstance(value, ca.Function):
-            return codegen.source_text([value])
-        if isinstance(value, dict):
-            return {name: text(entry) for name, entry in value.items()}
-        return type(value)(text(entry) for entry in value) if isinstance(value, tuple) else value
+        return codegen.source_text([value]) if isinstance(value, ca.Function) else vars(value)
 
-    assert text(read) == text(derived)
+    assert json.dumps(read, default=text) == json.dumps(derived, default=text)

@@ -1,4 +1,4 @@
-"""Sets side by side equal one after the other, so do twins; the car is nearly all twins; divisions are shared."""
+"""Sets of arguments and twins side by side have the values of single operations; divisions are shared."""
 
 import ctypes
 import re
@@ -20,39 +20,26 @@ def test_lanes_equal_single_evaluations():
     wide = ca.vertcat(ca.sin(x[0]) / x[1], -ca.cos(x[1]) * p[0] - 2 * x[0] + x[1] ** 2, 1 / x[1], 3.5 + p[1], chosen)
     function = ca.Function("several", [x, p], [wide, ca.tan(p[0] * x[0])], ["x", "p"], ["first", "second"])
     entry = """
-void run(const double *x, const double *p, double *first, double *second) {
+void run(const void *x, const double *p, void *first, void *second) {
   lanes_t in[2], out[5], last[1];
-  for (int i = 0; i < LANES; ++i) for (int j = 0; j < 2; ++j) in[j][i] = x[2 * i + j];
+  memcpy(in, x, sizeof in);
   several_lanes(in, p, out, last);
-  for (int i = 0; i < LANES; ++i) for (int j = 0; j < 5; ++j) first[5 * i + j] = out[j][i];
-  for (int i = 0; i < LANES; ++i) second[i] = last[0][i];
+  memcpy(first, out, sizeof out), memcpy(second, last, sizeof last);
 }
-int count(void) { return LANES; }
 """
-    library = codegen.library(
-        [function], codegen.PREAMBLE + lanes_header() + lanes_text(function, common=["p"]) + entry
-    )
-    n = library.count()
-    sets, common = np.random.default_rng(0).uniform(0.5, 1.5, (n, 2)), np.array([0.3, -0.7])
-    first, second = np.zeros((n, 5)), np.zeros(n)
-    library.run(*(ctypes.c_void_p(array.ctypes.data) for array in (sets, common, first, second)))
-    for values, one, other in zip(sets, first, second, strict=True):
-        exact = [np.array(result).ravel() for result in function(values, common)]
-        np.testing.assert_allclose(one, exact[0], rtol=1e-14)
-        np.testing.assert_allclose(other, exact[1][0], rtol=1e-14)
-
-
-def both(function, mirrored):
-    """The function as CasADi writes it, and by twins; text of the latter."""
-    text = pairs_text(function, mirrored)
-    library = codegen.library((), "#define casadi_int long long\n" + lanes_header(2) + text)
-    return codegen.compiled(function), codegen.CompiledFunction(library, function), text
+    text = codegen.PREAMBLE + lanes_header() + lanes_text(function, common=["p"]) + entry
+    sets, common = np.random.default_rng(0).uniform(0.5, 1.5, (2, 4)), np.array([0.3, -0.7])
+    first, second = np.zeros((5, 4)), np.zeros((1, 4))
+    arrays = (ctypes.c_void_p(array.ctypes.data) for array in (sets, common, first, second))
+    codegen.library([function], text).run(*arrays)
+    for values, *results in zip(sets.T, first.T, second.T, strict=True):
+        for found, exact in zip(results, function(values, common), strict=True):
+            np.testing.assert_allclose(found, exact.nonzeros(), rtol=1e-14)
 
 
 @pytest.mark.parametrize("piece", [1, 3, 10, 1000])
 def test_twins_have_the_bits_of_single_operations(piece, monkeypatch):
-    """Two gears on a body: functions of each, sums over both, an end of the car by its sign, a part without twin; in C
-    functions of `piece` statements each."""
+    """Functions of two gears on a body, sums over both, the sign of an end of the car, a part without twin."""
     monkeypatch.setattr(lanes, "_PIECE", piece)
     x, p = ca.SX.sym("x", 6), ca.SX.sym("p", 2)
     body, gears, seats = x[:2], (x[2:4], x[4:]), (ca.SX(0.5), ca.SX(-0.5))
@@ -63,7 +50,9 @@ def test_twins_have_the_bits_of_single_operations(piece, monkeypatch):
     rates = [*forces, forces[0] + forces[1], forces[0] - forces[1], ca.cos(body[0]) / p[1], gears[0][0] * gears[1][1]]
     rates += [gears[0][0] - gears[0][1], gears[1][1] - gears[1][0]]  # no twins, a difference has its order
     function = ca.Function("gears", [x, p], [ca.vertcat(*rates), forces[1]], ["x", "p"], ["rates", "rear"])
-    single, twins, text = both(function, {"x": [0, 1, 4, 5, 2, 3]})
+    text = pairs_text(function, {"x": [0, 1, 4, 5, 2, 3]})
+    library = codegen.library((), "#define casadi_int long long\n" + lanes_header(2) + text)
+    single, twins = codegen.CompiledFunction(function), codegen.CompiledFunction(function, library)
     assert len(re.findall(r"lanes_exp\(", text)) == 1 and "own_exp(" not in text
     assert ("gears_1(" in text) == (piece < 1000)
     for values in np.random.default_rng(0).uniform(0.1, 1.5, (50, 8)):
@@ -79,7 +68,7 @@ def test_the_car_has_the_bits_of_single_operations(name):
     car.step([900.0, -300.0, 500.0, 100.0], steps=400)
     given = dict(zip(("x", "u", "rows", "contacts", "par"), car.inputs(), strict=True)) | {"h": 1e-3}
     function = getattr(car.model, name)
-    single, twins = codegen.compiled(function), codegen.CompiledFunction(component.library(), function)
+    single, twins = codegen.CompiledFunction(function), codegen.CompiledFunction(function, component.library())
     for bound in (single, twins):
         for argument, of in zip(bound.arguments, function.name_in(), strict=True):
             argument[:] = np.ravel(given[of], order="F")
@@ -90,7 +79,7 @@ def test_the_car_has_the_bits_of_single_operations(name):
 
 
 def test_a_denominator_is_inverted_once():
-    """The quotients of a sparse matrix by shared numbers: as many divisions as denominators, equal values."""
+    """As many divisions as denominators, and equal values."""
     x, y = ca.SX.sym("x", 5), ca.SX.sym("y", 2)
     before = ca.Function("f", [x, y], [x[:4] / y[0], ca.sin(x[0] / y[0]) / y[1], 1 / y[1], x[4] / x[0]])
     after = share_reciprocals(before)

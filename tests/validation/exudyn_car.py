@@ -352,7 +352,7 @@ class ExudynCar:
         self._exu, self._lag, self._rails = exudyn, vehicle.drive.lag, rails
         self._container = exudyn.SystemContainer()
         self._mbs = self._container.AddSystem()
-        self._forces = codegen.compiled(forces(vehicle, law))
+        self._forces = codegen.CompiledFunction(forces(vehicle, law))
         self._motion, self._turns, self._stations, self._cells, self._s, self._tau = self._forces.arguments
         body, gear, wheel = vehicle.body, vehicle.gear, vehicle.wheel
         wheels = 2 * (wheel.diametral_inertia + WHEEL_MASS * (gear.contact_base / 2) ** 2)
