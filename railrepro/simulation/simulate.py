@@ -1,5 +1,7 @@
-"""The multi-rate co-simulation: the car and the control law at 1 kHz, slower lateral controllers at their own period.
-Serves the paper's Fig. 4 and section Simulation Environment."""
+"""Multi-rate co-simulation: the car and the control law at 1 kHz, slower lateral controllers at their own period.
+
+Serves the paper's Fig. 4 and section Simulation Environment.
+"""
 
 from __future__ import annotations
 
@@ -43,9 +45,9 @@ class Run:
         series (DataFrame): One row per ms: t_s (s), then `ClosedLoop.columns` (SI), such as `front.y` and `front_le.N`.
         ended (str): Why the run ended, in one sentence.
         failed (bool): Whether it ended by derailment or by a number that is not finite.
-        warnings (tuple of str): Sentences on where the run first left the range in which a model is valid.
-        controllers (tuple): Lateral controllers of both gears with a sampling time of their own, as MPC; () for a 1 kHz
-            law. The attribute `fallbacks` of an MPC counts samples without solution.
+        warnings (tuple of str): Where the run first left the range in which a model is valid, in sentences.
+        controllers (tuple): Slower lateral controllers of both gears, such as MPC, whose attribute `fallbacks` counts
+            samples without solution; () for a 1 kHz law.
         memory (dict): Name in `law.LawSignature.memory` -> state of the control law at the end (SI).
     """
 
@@ -57,23 +59,23 @@ class Run:
     memory: dict[str, float] = field(default_factory=dict, repr=False)
 
     def plot(self, *panels: str, gear: str = "front") -> Figure:
-        """Figure of the run over the track coordinate (m), set points dotted; it is not saved.
+        """Draw the run over the track coordinate (m) in a new figure, set points dotted. Needs the package matplotlib.
 
         `panels` are keys of `railrepro.simulation.plot.PANELS`, one per row: "y", "error", "du", "torques", "adhesion",
-        "slip", "speed", …; `gear` is "front" or "rear". Needs the package matplotlib.
+        "slip", "speed", …; `gear` is "front" or "rear".
         """
         from railrepro.simulation import plot  # a run needs no Matplotlib
 
         return plot.figure_of(self.series, panels or ("y", "error"), gear)
 
     def __getstate__(self) -> dict:
-        """State to pickle: of each slower controller, which may hold compiled code, a `PastController` is kept."""
+        """Replace each slower controller, which may hold compiled code, by a `PastController` for a pickle."""
         past = tuple(PastController(type(one).__name__, getattr(one, "fallbacks", 0)) for one in self.controllers)
         return vars(self) | {"controllers": past}
 
 
 class PastController(NamedTuple):
-    """What a pickled `Run` keeps of a slower lateral controller: its class by name, and samples without solution."""
+    """Slower lateral controller of a pickled `Run`: name of its class, and number of samples without solution."""
 
     name: str
     fallbacks: int
@@ -99,13 +101,13 @@ def run(
         scenario (Scenario): Track, speed, rails, force demand and set point.
         guidance (LateralLaw or callable): Lateral control: a 1 kHz law such as `NDI()`, or a factory (vehicle, route,
             gear) of slower controllers, such as `NMPC`.
-        vehicle (Vehicle, optional): Vehicle parameters that the controllers assume; default data/vehicle.toml.
-        plant_vehicle (Vehicle, optional): Parameters of the simulated car; default `vehicle`.
-        adhesion (AdhesionSettings, optional): Settings of the adhesion law; default as in `law.control_law`.
+        vehicle (Vehicle): Parameters that the controllers assume of the car; default data/vehicle.toml.
+        plant_vehicle (Vehicle): Parameters of the simulated car; default `vehicle`.
+        adhesion (AdhesionSettings): Settings of the adhesion law; default as in `law.control_law`.
         fixed_share (float): Share of the torque limit reserved for the differential torque (-), see `allocate`.
-        sensors (Readings, optional): Sensors between car and controllers; default exact measurements.
-        irregularities, line (optional): Irregular rails, planned set point; see `track.route.lay`; default none.
-        route (Route, optional): Route laid before; default `scenario.route(irregularities, line)`.
+        sensors (Readings): Sensors between car and controllers; default exact measurements.
+        irregularities, line: Irregular rails and planned set point as in `track.route.lay`; default none.
+        route (Route): Route of the run; default `scenario.route(irregularities, line)`.
         substeps (int): Integration steps of the car per millisecond, see `SteppedCar`.
 
     Raises:
@@ -122,10 +124,8 @@ def run(
     lateral_law, factory = lateral.split(guidance)
     component.compile_ahead()
     controllers = lateral.controllers(factory, vehicle, route) if factory else ()
-    loop = start(
-        scenario, lateral_law, route, vehicle, body, substeps,
-        adhesion=adhesion, fixed_share=fixed_share, sensors=sensors,
-    )  # fmt: skip
+    settings = {"adhesion": adhesion, "fixed_share": fixed_share, "sensors": sensors}
+    loop = start(scenario, lateral_law, route, vehicle, body, substeps, **settings)
     longest = int(max(10.0, 10 * route.length / scenario.speed) / CONTROL_PERIOD)  # at a tenth of the speed
     log = _drive(loop, controllers, longest, sensors.loop if sensors else None)
     finite = np.isfinite(log).all()
@@ -140,36 +140,35 @@ def run(
 
 
 def start(
-    scenario: Scenario, guidance: lateral.LateralLaw, route: Route, vehicle: Vehicle, body: Vehicle,
-    substeps: int = 1, **settings: Any,
-) -> ClosedLoop:  # fmt: skip
-    """`ClosedLoop` of car and 1 kHz law at the start of a scenario, in vertical equilibrium at its initial speed.
+    scenario: Scenario,
+    guidance: lateral.LateralLaw,
+    route: Route,
+    vehicle: Vehicle,
+    plant_vehicle: Vehicle,
+    substeps: int = 1,
+    **settings: Any,
+) -> ClosedLoop:
+    """Couple car and 1 kHz law for a scenario. The car starts in vertical equilibrium at the initial speed.
 
-    Args:
-        scenario (Scenario): Initial speed, adhesion sets, stop speed.
-        guidance (LateralLaw): The 1 kHz lateral law.
-        route (Route): Route from `Scenario.route`.
-        vehicle, body (Vehicle): Parameters that the controllers assume; parameters of the simulated car.
-        substeps (int): See `SteppedCar`.
-        settings: `adhesion`, `fixed_share` and `sensors` of `run`.
+    The arguments are as in `run`; `settings` are its `adhesion`, `fixed_share` and `sensors`.
     """
     settings |= {"lateral_limit": DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
     control = law.control_law(vehicle, guidance, **settings)
-    car = SteppedCar(route, scenario.speed, body, scenario.good, scenario.poor, substeps=substeps)
+    car = SteppedCar(route, scenario.speed, plant_vehicle, scenario.good, scenario.poor, substeps=substeps)
     return ClosedLoop(car, control)
 
 
 def _drive(loop: ClosedLoop, controllers: tuple, longest: int, sensors: Loop | None) -> np.ndarray:
-    """Run to the end, with plans of slower controllers at their period; rows of the log, shape (n, columns)."""
+    """Run to the end, with slower controllers at their period. Returns the log, shape (n, columns)."""
     if not controllers:
         return loop.run(longest)
-    front, rear = controllers
-    faults: list[BaseException] = []
-    compiled = [_compiled(front, sensors), _compiled(rear, sensors, front)]
-    samples = [cycle.SAMPLE(_sample(*of_gear, sensors, faults)) for of_gear in zip(controllers, GEARS, strict=True)]
-    python = [(ctypes.cast(sample, ctypes.c_void_p).value or 0, 0) for sample in samples]
-    every = round(front.period / CONTROL_PERIOD)
-    loop.connect([fast or slow for fast, slow in zip(compiled, python, strict=True)], every)
+    planners, samples, faults = [], [], []  # type: ignore[var-annotated]
+    for g, controller in enumerate(controllers):
+        samples.append(cycle.SAMPLE(_sample(controller, GEARS[g], sensors, faults)))
+        python = ctypes.cast(samples[-1], ctypes.c_void_p).value or 0, 0
+        planners.append(_compiled(controller, sensors, *controllers[:g]) or python)
+    every = round(controllers[0].period / CONTROL_PERIOD)
+    loop.connect(planners, every)
     log = loop.run(longest + -longest % every)  # whole samples
     if faults:
         raise faults[0]
@@ -177,17 +176,17 @@ def _drive(loop: ClosedLoop, controllers: tuple, longest: int, sensors: Loop | N
 
 
 def _compiled(controller: Any, *arguments: Any) -> tuple[int, int] | None:
-    """Addresses of the C of a slower controller, see `lateral.SlowController`; None if it is to be called by `plan`."""
-    found = controller.compiled(*arguments) if hasattr(controller, "compiled") else None
-    pair = isinstance(found, tuple) and [type(one) for one in found] == [int, int] and found[0] > 0
-    if not pair and not (found is None and hasattr(controller, "plan")):
+    """Get the addresses of a slower controller in C, see `lateral.SlowController`; None if `plan` is to be called."""
+    given = controller.compiled(*arguments) if hasattr(controller, "compiled") else None
+    pair = isinstance(given, tuple) and [type(one) for one in given] == [int, int] and given[0] > 0
+    if not pair and not (given is None and hasattr(controller, "plan")):
         needed = "a pair of addresses is needed, or None and a method plan"
-        raise InputError(f"lateral controller {type(controller).__name__}: compiled() gave {found!r}, {needed}")
-    return found
+        raise InputError(f"lateral controller {type(controller).__name__}: compiled() gave {given!r}, {needed}")
+    return given
 
 
 def _sample(controller: lateral.SlowController, gear: str, sensors: Loop | None, faults: list) -> Callable:
-    """A sample of a controller written in Python, for the loop; what it raises is kept and ends the run."""
+    """Make the function that samples a controller written in Python. An exception goes to `faults` and ends the run."""
     delay = sum(vars(sensors.latency).values()) + CONTROL_PERIOD if sensors else 0.0
     samples, n_readings = itertools.count(), len(names(interface.ReadGear))
 
@@ -205,7 +204,7 @@ def _sample(controller: lateral.SlowController, gear: str, sensors: Loop | None,
                     f"{count * controller.period:.3f} s, p = {x_hat[X]:.1f} m; a finite number (N m) is needed"
                 )
             return float(torque)
-        except BaseException as fault:  # which C does not pass on
+        except BaseException as fault:  # C does not pass it on
             faults.append(fault)
             return math.nan
 
@@ -214,12 +213,12 @@ def _sample(controller: lateral.SlowController, gear: str, sensors: Loop | None,
 
 @lru_cache
 def _index(columns: tuple[str, ...]) -> pd.Index:
-    """Columns of a series; pandas takes its time for one of text."""
+    """Columns of a series, cached because pandas is slow to make an index of texts."""
     return pd.Index(("t_s", *columns))
 
 
 def _reason(loop: ClosedLoop, last: dict[str, float]) -> tuple[str, bool]:
-    """Why a run ended with this row, and whether that is a failure."""
+    """Say why a run ended with this last row, and whether that is a failure."""
     at = f"at t = {last['t_s']:.3f} s, p = {last['front.p']:.1f} m"
     broken = [name for name, value in last.items() if not math.isfinite(value)]
     if broken:
@@ -236,9 +235,9 @@ def _reason(loop: ClosedLoop, last: dict[str, float]) -> tuple[str, bool]:
 
 
 def _warnings(series: pd.DataFrame, vehicle: Vehicle) -> tuple[str, ...]:
-    """Sentences on where the run left the validity of the models."""
+    """Say where the run first left the range in which a model is valid."""
     found: list[str] = []
-    if series.empty:  # a run whose first row is not finite
+    if series.empty:  # the first row of the run is not finite
         return ()
 
     def first(mask: np.ndarray, sentence: str) -> None:
