@@ -160,19 +160,16 @@ def observe(
 ) -> tuple[Estimates, FilterState]:
     """Correct the filters of a gear by the readings of this cycle, and predict to the time when a torque acts.
 
-    All numbers are of type SX.
+    Returns the `Estimates` then, and the corrected `FilterState` at the time of the readings, for `advance`. All
+    numbers are of type SX.
 
     Args:
         readings (Signals): Delayed readings.
         commands (two lists): Torques sent to the left and the right wheel before this cycle (N m), newest first.
         track (lateral.TrackInputs): Track at the gear.
         ticks: Control cycles since the start. At 0 the states are set from the readings.
-        sensor (SensorGains): Run-time numbers of the sensors.
-        gain (law.SensedGains): Run-time numbers of the law.
+        sensor, gain (SensorGains, law.SensedGains): Run-time numbers of the sensors and of the law.
         memory (FilterState): States before the correction, at the time of the readings.
-
-    Returns:
-        tuple: `Estimates`; the corrected `FilterState`, at the time of the readings, for `advance`.
     """
     planes = readings.y_ahead, readings.y_behind
     read = sum(planes) / 2, (planes[0] - planes[1]) / sensor.base, readings.psidot_Ax

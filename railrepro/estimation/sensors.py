@@ -267,14 +267,13 @@ class Readings:
 def sense(truth: Signals, ticks, gear: int, gain: SensorGains, memory: SensorMemory) -> tuple[Signals, dict[str, list]]:
     """Read the sensors of a gear (0 front, 1 rear) in this control cycle. All numbers are of type SX.
 
+    Returns the readings that reach the controller, and a dict of the next delay lines by signal, without "p".
+
     Args:
         truth (Signals): Exact values.
         ticks: Control cycles since the start. At 0 the delay lines are filled with the first reading.
         gain (SensorGains): Run-time numbers of the sensors.
         memory (SensorMemory): Delay lines after the previous cycle.
-
-    Returns:
-        tuple: `Signals` that reach the controller; dict of the next delay lines by signal, without "p".
     """
     readings, lines = {}, {}
     for i, signal in enumerate(SIGNALS):

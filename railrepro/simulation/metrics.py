@@ -177,15 +177,10 @@ def summary(series: pd.DataFrame) -> dict[str, tuple[float, str]]:
 
 
 def adhesion_limit(speed: np.ndarray, share: np.ndarray, scenario: Scenario, vehicle: Vehicle) -> np.ndarray:
-    """Largest longitudinal adhesion that the rail allows (force over nominal wheel load, -), in the shape of `share`.
+    """Largest longitudinal adhesion that the rail allows, force over nominal wheel load (-), in the shape of `share`.
 
-    It is for evaluation only: no controller knows it.
-
-    Args:
-        speed (ndarray, shape (n,)): Speed (m/s).
-        share (ndarray, shape (…, n)): Share of the poor adhesion set, 0 to 1. The limit is linear in it.
-        scenario (Scenario): Names of the good and the poor adhesion set.
-        vehicle (Vehicle): Adhesion sets, wheel load and contact patch.
+    `speed` (m/s) has the shape (n,). `share`, shape (…, n), is the share of the scenario's poor adhesion set, 0 to 1;
+    the limit is linear in it. It is for evaluation only: no controller knows it.
     """
     require("metrics: scenario", scenario, Scenario)
     require("metrics: vehicle", vehicle, Vehicle)

@@ -88,17 +88,14 @@ def _force_figures(series: pd.DataFrame, wheel_load: float, rate: float) -> dict
 
 
 def rail_forces(normal, creep, angle, side: str, roll) -> tuple[np.ndarray, np.ndarray]:
-    """Resolve the forces of a wheel on its rail into lateral force Y and vertical force Q, in axes of the track.
+    """Resolve the force of a wheel on its rail in axes of the track: Y, positive to the right, and Q, downwards (N).
 
     Args:
-        normal (array_like): Normal force (N), output `N` of the car.
-        creep (array_like): Lateral creep force on the wheel, positive to the right (N), output `Fy`.
-        angle (array_like): Contact angle against the axle, positive towards the flange (rad).
+        normal: Normal force (N), output `N` of the car.
+        creep: Lateral creep force on the wheel, positive to the right (N), output `Fy`.
+        angle: Contact angle against the axle, positive towards the flange (rad).
         side (str): "le" or "ri".
-        roll (array_like): Roll of the axle against the track (rad).
-
-    Returns:
-        y, q (ndarray, shape (n,)): Y, positive to the right on both rails, and Q, positive downwards (N).
+        roll: Roll of the axle against the track (rad).
     """
     tilt = _OUTWARDS[side] * np.asarray(angle, dtype=float) - roll
     y = np.multiply(normal, np.sin(tilt)) - np.multiply(creep, np.cos(tilt))
@@ -186,19 +183,15 @@ def mean_comfort(along, across, vertical, rate: float) -> float:
     blocks (5 minutes): with fewer, compare controllers only. Source: EN 12299:2009, standard method (formula read in
     open software; scale recalled).
     """
-    directions = ((along, "Wd"), (across, "Wd"), (vertical, "Wb"))
-    blocks = [_block_rms(np.asarray(values, dtype=float), name, rate) for values, name in directions]
-    return float(6 * np.linalg.norm(np.percentile(blocks, 95, axis=1))) if blocks[0].size else float("nan")
-
-
-def _block_rms(values: np.ndarray, name: str, rate: float) -> np.ndarray:
-    """Root mean squares of a weighted acceleration over the blocks of `mean_comfort`, shape (blocks,).
-
-    The filter starts settled at the first sample, so that gravity or steady cant deficiency makes no transient.
-    """
-    sections = weighting_filter(name, rate)
-    weighted, _ = scipy.signal.sosfilt(sections, values, zi=scipy.signal.sosfilt_zi(sections) * values[0])
     block, step = round(COMFORT_BLOCK * rate), round(BLOCK_STEP * rate)
-    total = np.concatenate([[0.0], np.cumsum(np.square(weighted))])
-    starts = np.arange(0, len(weighted) - block + 1, step)
-    return np.sqrt((total[starts + block] - total[starts]) / block)
+    starts = np.arange(0, len(vertical) - block + 1, step)
+    if not starts.size:
+        return float("nan")
+    percentiles = []
+    for values, name in ((along, "Wd"), (across, "Wd"), (vertical, "Wb")):
+        sections = weighting_filter(name, rate)
+        settled = scipy.signal.sosfilt_zi(sections) * values[0]  # gravity and cant deficiency make no transient
+        weighted, _ = scipy.signal.sosfilt(sections, values, zi=settled)
+        total = np.concatenate([[0.0], np.cumsum(np.square(weighted))])
+        percentiles.append(np.percentile(np.sqrt((total[starts + block] - total[starts]) / block), 95))
+    return float(6 * np.linalg.norm(percentiles))

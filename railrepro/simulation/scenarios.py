@@ -28,12 +28,6 @@ _SHARES = Annotated[tuple[tuple[_POSITION, Annotated[Number, between(0.0, 1.0)]]
 _FORCES = Annotated[tuple[tuple[_POSITION, Annotated[Number, between(-500.0, 500.0, "kN")]], ...], data.INCREASING]
 
 
-def _check_order(set_point: Sine | Sweep) -> None:
-    start, end = set_point.start_m, set_point.end_m
-    if end is not None and not start < end:
-        raise ValueError(f"ends at {end} m, an end after its start at {start} m is needed")
-
-
 @data.table
 class NoSetPoint:
     """Set point y* = 0, of the `kind` "none": the gears are to follow the centre line of the track."""
@@ -57,7 +51,6 @@ class Sine:
     start_m: _POSITION
     end_m: _POSITION | None = None
     fade_m: _FADE | None = None
-    __post_init__ = _check_order
 
 
 @data.table
@@ -71,7 +64,6 @@ class Sweep:
     start_m: _POSITION
     end_m: _POSITION
     fade_m: _FADE | None = None
-    __post_init__ = _check_order
 
 
 if TYPE_CHECKING:
@@ -114,6 +106,11 @@ class Scenario:
     def __post_init__(self) -> None:
         if self.stop_kmh is not None and not self.stop_kmh < self.speed_kmh:
             raise ValueError(f"stops below {self.stop_kmh} km/h, less than its speed {self.speed_kmh} km/h is needed")
+        if not isinstance(self.set_point, dict):
+            raise ValueError(f"set_point is {self.set_point!r}, a dict with these fields is needed")
+        start, end = self.set_point.get("start_m"), self.set_point.get("end_m")
+        if end is not None and not start < end:
+            raise ValueError(f"set_point ends at {end} m, an end after its start at {start} m is needed")
 
     @property
     def speed(self) -> float:
@@ -141,9 +138,14 @@ class Scenario:
         `irregularities` and `line` (a planned set point) are as in `railrepro.track.route.lay`. A warning says where
         more than 1.5 m/s2 of lateral acceleration remain unbalanced at the initial speed.
         """
-        left, right = self.poor_shares
-        track, poor = load_track(self.track_file()), (_ramps(left), _ramps(right))
-        laid = route.lay(track, self.reference(), poor, _steps(self.force_kN), irregularities, line)
+        left, right = map(np.transpose, self.poor_shares)
+        poor = (lambda p: np.interp(p, *left), lambda p: np.interp(p, *right))
+        starts, forces = np.transpose([(-np.inf, 0.0), *self.force_kN])
+
+        def force(p: np.ndarray) -> np.ndarray:
+            return 1e3 * forces[np.searchsorted(starts, p, side="right") - 1]
+
+        laid = route.lay(load_track(self.track_file()), self.reference(), poor, force, irregularities, line)
         if self.end_m > laid.length:
             fault = f"end_m = {self.end_m} lies beyond track {self.track} ({laid.length} m)"
             raise InputError(f"scenario {self.name}: {fault}")
@@ -167,21 +169,11 @@ class Scenario:
         point |= {name: value for name, value in self.set_point.items() if value is not None}
         if point["kind"] == "none":
             return None
-        sine = point["kind"] == "sine"
-        periods = [point["period_m"]] * 2 if sine else [point["period_start_m"], point["period_end_m"]]
-        ends = point["start_m"], point["end_m"], point["fade_m"]
-        return route.reference(route.SetPoint(1 if sine else 2, 1e-3 * point["amplitude_mm"], *periods, *ends))
-
-
-def _ramps(points):
-    """Linear interpolation between points (p (m), value), as a function of p."""
-    return lambda p: np.interp(p, *np.transpose(points))
-
-
-def _steps(points):
-    """Steps (p (m), force (kN)) as a function from p to force (N), 0 before the first step."""
-    table = np.array([[-np.inf, 0.0], *points], dtype=float)
-    return lambda p: 1e3 * table[np.searchsorted(table[:, 0], p, side="right") - 1, 1]
+        kind, first, last = 1, "period_m", "period_m"
+        if point["kind"] == "sweep":
+            kind, first, last = 2, "period_start_m", "period_end_m"
+        where = point["start_m"], point["end_m"], point["fade_m"]
+        return route.reference(route.SetPoint(kind, 1e-3 * point["amplitude_mm"], point[first], point[last], *where))
 
 
 def load_scenarios(path: Path | str | None = None) -> Entries[Scenario]:

@@ -11,8 +11,8 @@ import math
 import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -69,16 +69,9 @@ class Run:
         return plot.figure_of(self.series, panels or ("y", "error"), gear)
 
     def __getstate__(self) -> dict:
-        """Replace each slower controller, which may hold compiled code, by a `PastController` for a pickle."""
-        past = tuple(PastController(type(one).__name__, getattr(one, "fallbacks", 0)) for one in self.controllers)
-        return vars(self) | {"controllers": past}
-
-
-class PastController(NamedTuple):
-    """Slower lateral controller of a pickled `Run`: name of its class, and number of samples without solution."""
-
-    name: str
-    fallbacks: int
+        """Replace slower controllers, which may hold compiled code, by their class name and `fallbacks` in a pickle."""
+        past = [{"name": type(one).__name__, "fallbacks": getattr(one, "fallbacks", 0)} for one in self.controllers]
+        return vars(self) | {"controllers": tuple(SimpleNamespace(**one) for one in past)}
 
 
 def run(
@@ -124,15 +117,15 @@ def run(
     lateral_law, factory = lateral.split(guidance)
     component.compile_ahead()
     controllers = lateral.controllers(factory, vehicle, route) if factory else ()
-    settings = {"adhesion": adhesion, "fixed_share": fixed_share, "sensors": sensors}
-    loop = start(scenario, lateral_law, route, vehicle, body, substeps, **settings)
+    settings = {"adhesion": adhesion, "fixed_share": fixed_share, "sensors": sensors, "substeps": substeps}
+    loop = start(scenario, lateral_law, route, vehicle, body, **settings)
     longest = int(max(10.0, 10 * route.length / scenario.speed) / CONTROL_PERIOD)  # at a tenth of the speed
     log = _drive(loop, controllers, longest, sensors.loop if sensors else None)
     finite = np.isfinite(log).all()
     if not finite:  # the run ends at such a row, which `ended` names
         log = log[: np.argmin(np.isfinite(log).all(axis=1)) + 1]
     log = np.column_stack([np.arange(len(log)) * CONTROL_PERIOD, log])
-    series = pd.DataFrame(log, columns=_index(loop.columns), copy=False)
+    series = pd.DataFrame(log, columns=("t_s", *loop.columns), copy=False)
     ended, failed = _reason(loop, dict(zip(series, log[-1].tolist(), strict=True)))
     series = series if finite else series[:-1]
     memory = dict(zip(loop.control.signature.memory, loop.memory.tolist(), strict=True))
@@ -140,18 +133,13 @@ def run(
 
 
 def start(
-    scenario: Scenario,
-    guidance: lateral.LateralLaw,
-    route: Route,
-    vehicle: Vehicle,
-    plant_vehicle: Vehicle,
-    substeps: int = 1,
-    **settings: Any,
+    scenario: Scenario, guidance: lateral.LateralLaw, route: Route, vehicle: Vehicle, plant_vehicle: Vehicle, **settings
 ) -> ClosedLoop:
     """Couple car and 1 kHz law for a scenario. The car starts in vertical equilibrium at the initial speed.
 
-    The arguments are as in `run`; `settings` are its `adhesion`, `fixed_share` and `sensors`.
+    The arguments are as in `run`; `settings` are its `adhesion`, `fixed_share`, `sensors` and `substeps`.
     """
+    substeps = settings.pop("substeps", 1)
     settings |= {"lateral_limit": DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
     control = law.control_law(vehicle, guidance, **settings)
     car = SteppedCar(route, scenario.speed, plant_vehicle, scenario.good, scenario.poor, substeps=substeps)
@@ -211,12 +199,6 @@ def _sample(controller: lateral.SlowController, gear: str, sensors: Loop | None,
     return sample
 
 
-@lru_cache
-def _index(columns: tuple[str, ...]) -> pd.Index:
-    """Columns of a series, cached because pandas is slow to make an index of texts."""
-    return pd.Index(("t_s", *columns))
-
-
 def _reason(loop: ClosedLoop, last: dict[str, float]) -> tuple[str, bool]:
     """Say why a run ended with this last row, and whether that is a failure."""
     at = f"at t = {last['t_s']:.3f} s, p = {last['front.p']:.1f} m"
@@ -224,14 +206,14 @@ def _reason(loop: ClosedLoop, last: dict[str, float]) -> tuple[str, bool]:
     if broken:
         return f"{broken[0]} is not a finite number {at}", True
     passed = next((name for name, margin in loop.margins.items() if margin <= 0), "")
-    if passed.endswith(".torque"):
-        return f"the lateral law of the {passed.removesuffix('.torque')} gear gave no finite torque {at}", True
-    if passed.endswith(".lateral"):
-        gear = passed.removesuffix(".lateral")
+    gear, _, limit = passed.rpartition(".")
+    if limit == "torque":
+        return f"the lateral law of the {gear} gear gave no finite torque {at}", True
+    if limit == "lateral":
         return f"{gear} gear derailed, |y| = {1e3 * abs(last[f'{gear}.y']):.1f} mm {at}", True
     stopped = "stop speed reached" if last["front.v"] > 0 else "the car stands"
     reasons = {"track_end": "end of the run", "stop_speed": stopped}
-    return f"{reasons.get(passed, 'time limit reached')} {at}", False
+    return f"{reasons.get(limit, 'time limit reached')} {at}", False
 
 
 def _warnings(series: pd.DataFrame, vehicle: Vehicle) -> tuple[str, ...]:
