@@ -200,12 +200,12 @@ class Loop:
             raise ValueError(f"latency of {1e3 * total:g} ms in all, at most {LONGEST} ms are held")
 
     def perfect(self) -> Loop:
-        """Copy with exact readings, no latency, and the adhesion law set for exact readings. Inverter errors stay."""
+        """Copy with exact readings, no latency, and an adhesion law for exact readings. Inverter errors stay."""
         exact = {sensor: replace(getattr(self, sensor), noise=0.0, bias=0.0, resolution=0.0) for sensor in _SENSORS}
         return replace(self, **exact, latency=Latency(0.0, 0.0), adhesion=Adhesion(5e-3, 1e-3, 0.0))
 
     def lateral_errors(self) -> tuple[np.ndarray, np.ndarray]:
-        """Standard deviations of the noise of a reading and of the uniform bias, each of shape (3,), of y, psi and r.
+        """Compute the standard deviations of noise and of the uniform bias, each of shape (3,), of readings y, psi, r.
 
         The displacement y (m) is the mean of the two lateral sensors, the yaw angle psi (rad) their difference over
         `base`; r is the yaw rate (rad/s).
@@ -220,7 +220,7 @@ _RANGES = dict(notes(Loop))
 
 
 def quality_ranges() -> dict[str, data.Quantity]:
-    """Range of each sensor error in `SensorGains` as a dict by its name, such as "y_ahead.noise"."""
+    """Return the range of each sensor error in `SensorGains` as a dict by its name, such as "y_ahead.noise"."""
     return {
         f"{signal}.{error}": replace(_RANGES[f"{sensor}.{error}"], signed=error == "bias")
         for signal, sensor in zip(SIGNALS, _SENSORS, strict=True)
@@ -292,18 +292,17 @@ def sense(truth: Signals, ticks, gear: int, gain: SensorGains, memory: SensorMem
 
 
 def delayed(line: list, cycles):
-    """Value in a delay line (newest first) `cycles` control cycles ago, linear between cycles; number or SX."""
+    """Interpolate a delay line (newest first) to its value `cycles` control cycles ago. Numbers or SX."""
     return sum(ca.fmax(0, 1 - ca.fabs(cycles - k)) * value for k, value in enumerate(line))
 
 
 def received_torque(line: list, gain: SensorGains):
-    """Torque that a motor gets in this cycle (N m) from a line of commands (newest first): delayed, and times the gain
-    of the inverter."""
+    """Compute the torque of a motor in this cycle (N m) from the delay line of its commands (newest first)."""
     return gain.torque_gain * delayed(line, gain.command + gain.unknown_delay)
 
 
 def gaussian(seed, channel: int, ticks):
-    """Pseudorandom number with zero mean and unit variance, nearly normal: a scaled sum of four uniform numbers.
+    """Draw a nearly normal pseudorandom number, zero mean and unit variance: a scaled sum of four uniform numbers.
 
     It is a hash of `seed`, `channel` (number of the noise source) and `ticks` (control cycle). The hash computes with
     whole numbers below 2^52, which are exact, so its bits are the same everywhere.
@@ -319,6 +318,6 @@ def gaussian(seed, channel: int, ticks):
 
 
 def _modulo(x):
-    """Remainder of a whole number by the largest prime below 2^26. A rounded quotient that is one off gives another
-    whole number, the same everywhere."""
+    """Reduce a whole number modulo the largest prime below 2^26. A rounded quotient that is one off gives another whole
+    number, the same everywhere."""
     return x - 67108859.0 * ca.floor(x * (1 / 67108859.0))

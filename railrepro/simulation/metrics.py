@@ -79,7 +79,7 @@ def gear_series(series: pd.DataFrame, gear: str = "front", stride: int = 1) -> p
 
 
 def lateral_error(series: pd.DataFrame, gear: str = "front") -> np.ndarray:
-    """Lateral error y - y* of a gear in each row (m): displacement from the ideal track minus set point."""
+    """Compute the lateral error y - y* of a gear in each row (m): displacement from the ideal track minus set point."""
     return Part(series, gear).y - Part(series, gear).y_ref
 
 
@@ -88,17 +88,17 @@ def _rms(values: np.ndarray) -> float:
 
 
 def rmse(series: pd.DataFrame, gear: str = "front") -> float:
-    """Root mean square of the `lateral_error` (m). Source: paper, section Evaluation of Lateral Control."""
+    """Compute the root mean square of the `lateral_error` (m). Source: paper, section Evaluation of Lateral Control."""
     return _rms(lateral_error(series, gear))
 
 
 def followed_rmse(series: pd.DataFrame, gear: str = "front") -> float:
-    """Root mean square of the displacement of a gear from the irregular rails minus its set point (m)."""
+    """Compute the root mean square of a gear's displacement from the irregular rails minus its set point (m)."""
     return _rms(lateral_error(series, gear) - Part(series, gear).rail_y)
 
 
 def on_flange(series: pd.DataFrame) -> np.ndarray:
-    """Whether any wheel touches its rail with the flange, for each row: bool, shape (n,).
+    """Find the rows in which any wheel touches its rail with the flange: bool, shape (n,).
 
     A wheel touches if its contact angle exceeds 30 degrees, or its gear is more than 7 mm from the middle of the rails.
     Only the second applies to cones, which have no flange.
@@ -109,12 +109,12 @@ def on_flange(series: pd.DataFrame) -> np.ndarray:
 
 
 def reaches_flange(series: pd.DataFrame) -> bool:
-    """Whether a wheel touches its rail with the flange in any row, see `on_flange`."""
+    """Find out whether a wheel touches its rail with the flange in any row, see `on_flange`."""
     return bool(on_flange(series).any())
 
 
 def delay(series: pd.DataFrame, gear: str = "front") -> float:
-    """Distance along the track by which the lateral displacement y of a gear trails its set point y* (m).
+    """Measure the distance along the track by which the displacement y of a gear trails its set point y* (m).
 
     Both signals are detrended by a straight line and put on a grid of 0.1 m. The result is the lag within +-60 m with
     the largest mean product of both, positive when y trails y*. It is nan when y* is constant or the car stands.
@@ -135,12 +135,12 @@ def delay(series: pd.DataFrame, gear: str = "front") -> float:
 
 
 def effort(series: pd.DataFrame, gear: str = "front") -> float:
-    """Root mean square of the differential torque of a gear (N m)."""
+    """Compute the root mean square of the differential torque of a gear (N m)."""
     return _rms(Part(series, gear).du)
 
 
 def activity(series: pd.DataFrame, gear: str = "front") -> float:
-    """Root mean square of a gear's differential torque above 5 Hz (N m), which is noise or a limit cycle.
+    """Compute the root mean square of a gear's differential torque above 5 Hz (N m): noise or a limit cycle.
 
     The high-pass is a Butterworth filter of fourth order, run forwards and backwards. `series` needs a row per ms.
     """
@@ -150,7 +150,7 @@ def activity(series: pd.DataFrame, gear: str = "front") -> float:
 
 
 def stopping_distance(series: pd.DataFrame) -> float:
-    """Distance of the front gear from the first to the last row (m), also if the car does not stop."""
+    """Measure the distance of the front gear from the first to the last row (m), also if the car does not stop."""
     p = Part(series, "front").p
     return float(p[-1] - p[0])
 
@@ -177,7 +177,7 @@ def summary(series: pd.DataFrame) -> dict[str, tuple[float, str]]:
 
 
 def adhesion_limit(speed: np.ndarray, share: np.ndarray, scenario: Scenario, vehicle: Vehicle) -> np.ndarray:
-    """Largest longitudinal adhesion that the rail allows, force over nominal wheel load (-), in the shape of `share`.
+    """Compute the largest longitudinal adhesion of the rail, force over nominal wheel load (-), shaped as `share`.
 
     `speed` (m/s) has the shape (n,). `share`, shape (…, n), is the share of the scenario's poor adhesion set, 0 to 1;
     the limit is linear in it. It is for evaluation only: no controller knows it.

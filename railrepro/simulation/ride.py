@@ -114,7 +114,7 @@ def low_pass(values, rate: float) -> np.ndarray:
 
 
 def sliding_mean(values, p) -> np.ndarray:
-    """Means over windows of 2 m of track, which start every 0.5 m, shape (windows,). InputError for a shorter run."""
+    """Average over windows of 2 m of track, which start every 0.5 m: shape (windows,). InputError for a shorter run."""
     p = np.maximum.accumulate(np.asarray(p, dtype=float))  # a car that has come to a stand rolls back a little
     last = p[-1] - p[0] - WINDOW
     if last < 0:
@@ -125,7 +125,7 @@ def sliding_mean(values, p) -> np.ndarray:
 
 
 def flange_contacts(angle, p) -> float:
-    """Number of flange contacts of a wheel per distance (1/km): stretches with a contact angle (rad) above 30 degrees.
+    """Count the flange contacts of a wheel per distance (1/km): stretches with a contact angle (rad) above 30 degrees.
 
     Stretches less than 1 m apart count as one contact.
     """
@@ -169,13 +169,13 @@ def weighting_filter(name: str, rate: float) -> np.ndarray:
 
 
 def _quadratic(frequency: float, quality: float) -> np.ndarray:
-    """Coefficients of (s/w)^2 + s/(Q w) + 1."""
+    """Return the coefficients of (s/w)^2 + s/(Q w) + 1."""
     w = 2 * np.pi * frequency
     return np.array([1 / w**2, 1 / (quality * w), 1.0])
 
 
 def mean_comfort(along, across, vertical, rate: float) -> float:
-    """Mean comfort N_MV at a floor point (-); nan for a run shorter than 5 s.
+    """Compute the mean comfort N_MV at a floor point (-); nan for a run shorter than 5 s.
 
     Below 1.5 is very comfortable, 1.5 to 2.5 comfortable, from 4.5 on very uncomfortable. The accelerations (m/s2) in
     the three directions are weighted by Wd, Wd and Wb. Root mean squares are taken over blocks of 5 s, which start

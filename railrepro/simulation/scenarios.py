@@ -129,7 +129,7 @@ class Scenario:
         return self.poor_share_left or both, self.poor_share_right or both
 
     def but(self, **changes) -> Scenario:
-        """Copy with the fields in `changes` replaced. InputError for a wrong field or value."""
+        """Copy the scenario with the fields in `changes` replaced. InputError for a wrong field or value."""
         return replace(self, **changes)
 
     def route(self, irregularities=None, line=None) -> route.Route:
@@ -158,8 +158,8 @@ class Scenario:
         return replace(laid, length=self.end_m)
 
     def track_file(self) -> str:
-        """Argument for `load_track`: the name of the track, or the path of its CSV. A relative path is first looked for
-        in the checkout, then in the working folder."""
+        """Return the argument for `load_track`: the name of the track, or the path of its CSV. A relative path is first
+        looked for in the checkout, then in the working folder."""
         file = paths.source(self.track)
         return str(file) if self.track.endswith(".csv") and file.is_file() else self.track
 

@@ -150,10 +150,11 @@ def _drive(loop: ClosedLoop, controllers: tuple, longest: int, sensors: Loop | N
     """Run to the end, with slower controllers at their period. Returns the log, shape (n, columns)."""
     if not controllers:
         return loop.run(longest)
-    planners, samples, faults = [], [], []  # type: ignore[var-annotated]
+    faults: list[BaseException] = []
+    samples = [cycle.SAMPLE(_sample(*of_gear, sensors, faults)) for of_gear in zip(controllers, GEARS, strict=True)]
+    planners = []
     for g, controller in enumerate(controllers):
-        samples.append(cycle.SAMPLE(_sample(controller, GEARS[g], sensors, faults)))
-        python = ctypes.cast(samples[-1], ctypes.c_void_p).value or 0, 0
+        python = ctypes.cast(samples[g], ctypes.c_void_p).value or 0, 0
         planners.append(_compiled(controller, sensors, *controllers[:g]) or python)
     every = round(controllers[0].period / CONTROL_PERIOD)
     loop.connect(planners, every)
