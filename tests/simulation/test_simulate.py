@@ -132,7 +132,7 @@ def test_a_derailment_names_gear_displacement_and_place():
     assert y.iloc[:-1].max() < 0.030
 
 
-def test_the_plant_may_differ_from_what_the_controllers_believe():
+def test_the_plant_may_differ_from_the_vehicle_of_the_controllers():
     scenario = scenarios.load_scenario("sine_tracking").but(end_m=2.0, force_kN=[[0, 8.0]])
     heavy, seen = load_vehicle(**{"body.mass": 28_000.0}), []
 
@@ -146,14 +146,6 @@ def test_the_plant_may_differ_from_what_the_controllers_believe():
     assert seen[::2] == [26_000.0, 28_000.0, 28_000.0]
 
 
-def calm_series():
-    """Four rows within the validity of all models."""
-    columns = {f"{wheel}.{name}": value for wheel in equations.WHEELS for name, value in (("N", 7e4), ("angle", 0.03))}
-    columns |= {f"{gear}.{name}": value for gear in GEARS for name, value in (("yaw_to_body", 0.01), ("v", 20.0))}
-    columns |= {f"{gear}.{name}": 0.0 for gear in GEARS for name in ("y", "rail_y")}
-    return pd.DataFrame({"t_s": [0.0, 0.5, 1.0, 1.5], "front.p": [0.0, 10.0, 20.0, 30.0]} | columns)
-
-
 @pytest.mark.parametrize(
     ("column", "value", "sentence"),
     [
@@ -165,7 +157,10 @@ def calm_series():
     ],
 )
 def test_a_warning_names_the_first_place_outside_the_validity_of_a_model(column, value, sentence):
-    series = calm_series()
+    calm = {f"{wheel}.{name}": value for wheel in equations.WHEELS for name, value in (("N", 7e4), ("angle", 0.03))}
+    calm |= {f"{gear}.{name}": 0.0 for gear in GEARS for name in ("y", "rail_y", "yaw_to_body")}
+    calm |= {"front.v": 20.0, "rear.v": 20.0, "t_s": [0.0, 0.5, 1.0, 1.5], "front.p": [0.0, 10.0, 20.0, 30.0]}
+    series = pd.DataFrame(calm)
     cone, worn = (load_vehicle(**{"contact.profile": profile}) for profile in ("cone", "s1002"))
     assert simulate._warnings(series, cone) == ()
     series.loc[2:, column] = value
@@ -187,7 +182,7 @@ def test_a_run_ends_before_what_is_not_finite(monkeypatch):
 
 
 def test_ctrl_c_is_seen_while_a_second_of_the_run_takes_seconds():
-    """The interrupt comes from a clock that runs with the processor, so that a busy machine decides nothing."""
+    """The interrupt comes from a clock of processor time, so that the load of the machine does not matter."""
     scenario, vehicle = scenarios.load_scenario("curve_entry_T3"), load_vehicle()
     loop = simulate.start(scenario, NDI(), scenario.route(), vehicle, vehicle, substeps=2000)
     before = signal.signal(signal.SIGVTALRM, signal.default_int_handler)
