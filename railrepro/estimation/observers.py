@@ -93,10 +93,8 @@ class Estimates:
 
 
 def lateral_matrices(vehicle: Vehicle, speed: float) -> tuple[np.ndarray, np.ndarray]:
-    """Build the matrices A (5, 5), C (3, 5) of the lateral filter at a speed (m/s), SI: x' = A x, readings C x.
-
-    x holds the states `LATERAL`. The readings are y, psi, and r plus the gyro bias.
-    """
+    """Build the matrices A (5, 5), C (3, 5) of the lateral filter at a speed (m/s), SI: x' = A x, readings C x. x holds
+    the states `LATERAL`. The readings are y, psi, and r plus the gyro bias."""
     k, d, inertia = vehicle.suspension.yaw_stiffness, vehicle.suspension.yaw_damping, vehicle.gear.inertia_z
     gyroscopic = 2 * vehicle.wheel.spin_inertia * speed / vehicle.wheel.radius * vehicle.gamma * speed
     a = [
@@ -110,11 +108,9 @@ def lateral_matrices(vehicle: Vehicle, speed: float) -> tuple[np.ndarray, np.nda
 
 
 def _stationary(a, c, q, r) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the stationary Kalman gain, and the covariance after a reading, of x' = a x + noise.
-
-    The noise has the spectral density q; c x is read every ms with covariance r. Source: Van Loan 1978; Anderson and
-    Moore 1979, Optimal Filtering, ch. 4.
-    """
+    """Compute the stationary Kalman gain, and the covariance after a reading, of x' = a x + noise. The noise has the
+    spectral density q; c x is read every ms with covariance r. Source: Van Loan 1978; Anderson and Moore 1979, Optimal
+    Filtering, ch. 4."""
     n = len(a)
     both = expm(np.block([[-a, q], [np.zeros((n, n)), a.T]]) * CONTROL_PERIOD)
     step = both[n:, n:].T
@@ -124,10 +120,8 @@ def _stationary(a, c, q, r) -> tuple[np.ndarray, np.ndarray]:
 
 
 def lateral_filter(vehicle: Vehicle, loop: Loop, speed: float) -> tuple[np.ndarray, np.ndarray]:
-    """Design the lateral filter at a speed (m/s) for the noise of sensors and process in `loop`, SI.
-
-    Returns the stationary Kalman gain (5, 3), and the covariance (5, 5) of the states `LATERAL` after a reading.
-    """
+    """Design the lateral filter at a speed (m/s) for the noise of sensors and process in `loop`, SI. Returns the
+    stationary Kalman gain (5, 3), and the covariance (5, 5) of the states `LATERAL` after a reading."""
     rates = loop.filter
     y = max(loop.lateral.noise / np.sqrt(2), _LEAST_NOISE)
     readings = np.diag([y**2, (2 * y / loop.lateral.base) ** 2, max(loop.gyro.noise, _LEAST_NOISE) ** 2])
@@ -199,10 +193,8 @@ def observe(
 
 
 def advance(x: FilterState, commands: Sequence[list], track: Any, sensor: SensorGains, gain: Any) -> FilterState:
-    """Predict `x`, the corrected `FilterState` of `observe`, by one control cycle.
-
-    The other arguments are as in `observe`, but `commands` include the torques of this cycle.
-    """
+    """Predict `x`, the corrected `FilterState` of `observe`, by one control cycle. The other arguments are as in
+    `observe`, but `commands` include the torques of this cycle."""
     h, model = CONTROL_PERIOD, gain.model
 
     def wheel(state: WheelState, line: list) -> WheelState:
@@ -242,10 +234,8 @@ def _yaw_acceleration(x: FilterState, track: Any, gain: Any):
 
 
 def _predicted(x: FilterState, commands: Sequence[list], track: Any, sensor: SensorGains, gain: Any) -> tuple:
-    """Predict y, psi and r of `FilterState` to the time when a torque of this cycle acts.
-
-    The torques that are still under way change the yaw rate as if the wheels rolled without creep.
-    """
+    """Predict y, psi and r of `FilterState` to the time when a torque of this cycle acts. The torques that are still
+    under way change the yaw rate as if the wheels rolled without creep."""
     steps, model = 5, gain.model
     h = gain.filter.prediction / steps
     y, psi, r, v, yaw = x.y, x.psi, x.r, x.v, _yaw_acceleration(x, track, gain)

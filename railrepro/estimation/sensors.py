@@ -197,7 +197,7 @@ class Loop:
     def __post_init__(self) -> None:
         total = self.latency.measurement + self.latency.command + self.inverter.delay
         if total > LONGEST * CONTROL_PERIOD + 1e-9:
-            raise ValueError(f"latency of {1e3 * total:g} ms in all, at most {LONGEST} ms are held")
+            raise ValueError(f"latency of {1e3 * total:g} ms in all, at most {LONGEST} ms are allowed")
 
     def perfect(self) -> Loop:
         """Copy with exact readings, no latency, and an adhesion law for exact readings. Inverter errors stay."""
@@ -206,10 +206,8 @@ class Loop:
 
     def lateral_errors(self) -> tuple[np.ndarray, np.ndarray]:
         """Compute the standard deviations of noise and of the uniform bias, each of shape (3,), of readings y, psi, r.
-
         The displacement y (m) is the mean of the two lateral sensors, the yaw angle psi (rad) their difference over
-        `base`; r is the yaw rate (rad/s).
-        """
+        `base`; r is the yaw rate (rad/s)."""
         of_planes = np.array([1 / np.sqrt(2), np.sqrt(2) / self.lateral.base])
         noise = np.append(self.lateral.noise * of_planes, self.gyro.noise)
         bias = np.append(self.lateral.bias * of_planes, self.gyro.bias)
@@ -230,9 +228,7 @@ def quality_ranges() -> dict[str, data.Quantity]:
 
 def load_loop(path: Path | str | None = None, **overrides) -> Loop:
     """Read and check the sensor data of a TOML file, by default data/sensors.toml. InputError for a wrong key or value.
-
-    `overrides` replace values (SI) by dotted key, as in `load_loop(**{"gyro.noise": 0.002})`.
-    """
+    `overrides` replace values (SI) by dotted key, as in `load_loop(**{"gyro.noise": 0.002})`."""
     return loaded(Loop, data.location(path, paths.source("data/sensors.toml")), overrides)[0]
 
 
@@ -302,11 +298,9 @@ def received_torque(line: list, gain: SensorGains):
 
 
 def gaussian(seed, channel: int, ticks):
-    """Draw a nearly normal pseudorandom number, zero mean and unit variance: a scaled sum of four uniform numbers.
-
-    It is a hash of `seed`, `channel` (number of the noise source) and `ticks` (control cycle). The hash computes with
-    whole numbers below 2^52, which are exact, so its bits are the same everywhere.
-    """
+    """Draw a nearly normal pseudorandom number, zero mean and unit variance: a scaled sum of four uniform numbers. It
+    is a hash of `seed`, `channel` (number of the noise source) and `ticks` (control cycle). The hash computes with
+    whole numbers below 2^52, which are exact, so its bits are the same everywhere."""
     total = 0.0
     for k in range(2):
         x = _modulo(15485863.0 * ticks + 104729.0 * seed + 32452843.0 * (2 * channel + k) + 49979687.0)

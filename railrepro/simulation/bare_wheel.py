@@ -1,7 +1,5 @@
-"""One driven wheel under the 1 kHz adhesion law, with Polach's creep law and a quarter of the car as its mass.
-
-Serves the paper's Fig. 5 and section Adhesion Control.
-"""
+"""One driven wheel under the 1 kHz adhesion law, with Polach's creep law and a quarter of the car as its mass. Serves
+the paper's Fig. 5 and section Adhesion Control."""
 
 from __future__ import annotations
 
@@ -93,8 +91,7 @@ def simulate(vehicle: Vehicle, cases: Sequence[Case], speed, demand) -> Traces:
         speed (float or array_like, shape (wheels,)): Initial running speeds (m/s).
         demand (array_like, shape (ms,) or (ms, wheels)): Set point of the adhesion f_x (-), traction-positive.
     """
-    demand = np.asarray(demand, dtype=float)
-    demand = np.ascontiguousarray(np.broadcast_to(demand.reshape(len(demand), -1), (len(demand), len(cases))))
+    demand = np.asarray(demand, dtype=float).reshape(len(demand), -1)
     call = codegen.compiled(_cycle(vehicle).map("bare_wheels", "serial", len(cases), [], []))
     state, f_star, numbers = call.arguments
     numbers[:] = np.array([pack(case) for case in cases], dtype=float).ravel()

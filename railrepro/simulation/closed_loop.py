@@ -26,15 +26,14 @@ _BLOCK = 10_000
 _LONGEST_CALL = 0.1
 """Duration of a call of C (s) above which the next ones get shorter: Python sees Ctrl-C between them."""
 _SOURCE = Path(__file__).with_name("loop.c").read_text(encoding="utf-8")
-_MEASURED = [names(Outputs).index(name) for name in interface.MEASURED]
-"""Outputs of the car that the law measures."""
 
 
 @lru_cache
 def library(signature: law.LawSignature) -> tuple[ctypes.CDLL, Any]:
     """Compile `loop.c` with the 1 kHz law of this signature. Returns shared object and ctypes class of its `loop_t`."""
+    measured = ", ".join(str(names(Outputs).index(name)) for name in interface.MEASURED)
     text = codegen.PREAMBLE + cycle.c_text(signature, len(names(signature.Gains)))
-    text += codegen.defines({"MEASURED_OF_OUTPUT": "{" + ", ".join(map(str, _MEASURED)) + "}"})
+    text += codegen.defines({"MEASURED_OF_OUTPUT": "{" + measured + "}"})
     loaded = codegen.library((law.function(signature),), text + _SOURCE)
     loaded.loop_run.restype = ctypes.c_longlong
     _, controller = cycle.structures(signature)
@@ -77,11 +76,9 @@ class ClosedLoop:
         parameters[:] = codegen.for_c("control: gains", control.gains, parameters.shape)
 
     def run(self, n: int) -> np.ndarray:
-        """Advance by n control cycles of 1 ms, or fewer when a limit is reached (see `margins`).
-
-        Returns an array with a row per cycle, taken before the car advances, and the columns `columns` (SI). When a
-        limit is reached, the last row and `state` are at the limit.
-        """
+        """Advance by n control cycles of 1 ms, or fewer when a limit is reached (see `margins`). Returns an array with
+        a row per cycle, taken before the car advances, and the columns `columns` (SI). When a limit is reached, the
+        last row and `state` are at the limit."""
         require("n", n, between(0, math.inf), whole=True)
         self.car.c.period = CONTROL_PERIOD / self.car.c.substeps  # `SteppedCar.step` may have had another one
         blocks, block = [np.empty((0, len(self.columns)))], 1
@@ -100,10 +97,8 @@ class ClosedLoop:
 
     def connect(self, planners: Sequence[tuple[int, int]], every: int) -> None:
         """Register slower controllers of the front and the rear gear, which `run` calls each `every` control cycles.
-
         `planners` holds for each the addresses of a C function of the type `railrepro.control.cycle.SAMPLE` and of its
-        memory. It is called before the law acts: with sensors it gets the estimated states of the previous cycle.
-        """
+        memory. It is called before the law acts: with sensors it gets the estimated states of the previous cycle."""
         slot, _ = cycle.structures(self.control.signature)
         self._c.every = every
         for g, planner in enumerate(planners):

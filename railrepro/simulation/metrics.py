@@ -1,8 +1,5 @@
-"""Figures of merit of a run: tracking error, delay, effort, stopping distance, adhesion utilisation.
-
-`series` is always `simulate.Run.series`, `gear` "front" or "rear". Serves the paper's section Multi-Body Simulation
-Results.
-"""
+"""Figures of merit of a run: tracking error, delay, effort, stopping distance, adhesion utilisation. `series` is always
+`simulate.Run.series`, `gear` is "front" or "rear". Serves the paper's section Multi-Body Simulation Results."""
 
 from __future__ import annotations
 
@@ -36,8 +33,8 @@ class Part:
         self._series, self._of = series, of
 
     def __getattr__(self, name: str) -> np.ndarray:
-        series, column = self._series, f"{self._of}.{name}"
-        values = series[column].to_numpy() if column in series else np.array([])
+        column = f"{self._of}.{name}"
+        values = np.asarray(self._series.get(column, ()))
         if values.ndim != 1 or not values.size or values.dtype.kind not in "iuf":
             raise InputError(f"metrics: {column!r} is no column of numbers here, the series of a run is needed")
         return values
@@ -98,11 +95,9 @@ def followed_rmse(series: pd.DataFrame, gear: str = "front") -> float:
 
 
 def on_flange(series: pd.DataFrame) -> np.ndarray:
-    """Find the rows in which any wheel touches its rail with the flange: bool, shape (n,).
-
-    A wheel touches if its contact angle exceeds 30 degrees, or its gear is more than 7 mm from the middle of the rails.
-    Only the second applies to cones, which have no flange.
-    """
+    """Find the rows in which any wheel touches its rail with the flange: bool, shape (n,). A wheel touches if its
+    contact angle exceeds 30 degrees, or its gear is more than 7 mm from the middle of the rails. Only the second
+    applies to cones, which have no flange."""
     displacement = [np.abs(Part(series, gear).y - Part(series, gear).rail_y) for gear in GEARS]
     angle = [np.abs(Part(series, wheel).angle) for wheel in WHEELS]
     return (np.max(displacement, axis=0) > FLANGEWAY) | (np.max(angle, axis=0) > FLANGE_ANGLE)
@@ -140,10 +135,8 @@ def effort(series: pd.DataFrame, gear: str = "front") -> float:
 
 
 def activity(series: pd.DataFrame, gear: str = "front") -> float:
-    """Compute the root mean square of a gear's differential torque above 5 Hz (N m): noise or a limit cycle.
-
-    The high-pass is a Butterworth filter of fourth order, run forwards and backwards. `series` needs a row per ms.
-    """
+    """Compute the root mean square of a gear's differential torque above 5 Hz (N m): noise or a limit cycle. The
+    high-pass is a Butterworth filter of fourth order, run forwards and backwards. `series` needs a row per ms."""
     du = Part(series, gear).du
     high_pass = scipy.signal.butter(4, ACTIVITY, "highpass", fs=1 / CONTROL_PERIOD, output="sos")
     return _rms(scipy.signal.sosfiltfilt(high_pass, du, padlen=min(100, du.size - 1)))
@@ -178,10 +171,8 @@ def summary(series: pd.DataFrame) -> dict[str, tuple[float, str]]:
 
 def adhesion_limit(speed: np.ndarray, share: np.ndarray, scenario: Scenario, vehicle: Vehicle) -> np.ndarray:
     """Compute the largest longitudinal adhesion of the rail, force over nominal wheel load (-), shaped as `share`.
-
     `speed` (m/s) has the shape (n,). `share`, shape (…, n), is the share of the scenario's poor adhesion set, 0 to 1;
-    the limit is linear in it. It is for evaluation only: no controller knows it.
-    """
+    the limit is linear in it. It is for evaluation only: no controller knows it."""
     require("metrics: scenario", scenario, Scenario)
     require("metrics: vehicle", vehicle, Vehicle)
     patch = (vehicle.wheel_load, *middle_patch(vehicle), vehicle.contact.shear_modulus)

@@ -50,10 +50,8 @@ def chosen(names: Sequence[str]) -> list[Panel]:
 
 
 def draw(axes: Sequence[Axes], panels: Sequence[Panel], series: pd.DataFrame, look: Mapping, gear: str) -> None:
-    """Draw a run over the track coordinate (m), each of `panels` into one of `axes`; the left wheel is paler.
-
-    `series` is a table of `metrics.gear_series` for this `gear`; `look` has keyword arguments of `Axes.plot`.
-    """
+    """Draw a run over the track coordinate (m), each of `panels` into one of `axes`; the left wheel is paler. `series`
+    is a table of `metrics.gear_series` for this `gear`; `look` has keyword arguments of `Axes.plot`."""
     p = series[metrics.column(gear, "p")]
     for axis, (_, (first, *second), factor, _) in zip(axes, panels, strict=True):
         for column in second:

@@ -30,7 +30,6 @@ WEIGHTINGS = {"Wd": (2.0, None, 1.0), "Wb": (16.0, (2.5, 0.8, 4.0, 0.8), 1.024)}
 """Frequency weightings: transition frequency (Hz); upward step f5 (Hz), Q5, f6 (Hz), Q6; gain above the step.
 Source: Wd: ISO 8041 (read in the manuals of two vibration meters); Wb: EN 12299:2009 (read in open software, agrees
 with what is recalled of UIC 513). ISO 2631-4 and BS 6841 have another curve Wb."""
-_BAND = (0.4, 100.0)
 _LEAST_LOAD = 1e3
 """Least divisor of Y/Q (N), so that a wheel that lifts gives no infinity."""
 _OUTWARDS = {"le": -1, "ri": 1}
@@ -60,11 +59,9 @@ def ride_summary(series: pd.DataFrame, vehicle: Vehicle) -> dict[str, tuple[floa
 
 
 def _force_figures(series: pd.DataFrame, wheel_load: float, rate: float) -> dict[str, tuple[float, str]]:
-    """Compute the largest rail forces, and flange contacts. Prud'homme's limit is 10 kN + 2 Q0 / 3 (recalled).
-
-    The standards evaluate percentiles over many sections of track; of one short run the largest value is taken.
-    Source: EN 14363 and UIC 518 (read).
-    """
+    """Compute the largest rail forces, and flange contacts. Prud'homme's limit is 10 kN + 2 Q0 / 3 (recalled). The
+    standards evaluate percentiles over many sections of track; of one short run the largest value is taken. Source: EN
+    14363 and UIC 518 (read)."""
     shifting, ratios, unloading, contacts = [], [], [], 0.0
     for gear in GEARS:
         p, phi, lateral = Part(series, gear).p, Part(series, gear).phi, []
@@ -104,11 +101,9 @@ def rail_forces(normal, creep, angle, side: str, roll) -> tuple[np.ndarray, np.n
 
 
 def low_pass(values, rate: float) -> np.ndarray:
-    """Filter by a low-pass without phase shift; shape and unit stay.
-
-    A Butterworth filter of second order, run forwards and backwards, has -3 dB at 20 Hz in all, and 24 dB per octave
-    beyond. Source: EN 14363 (cut-off read, slope recalled).
-    """
+    """Filter by a low-pass without phase shift; shape and unit stay. A Butterworth filter of second order, run forwards
+    and backwards, has -3 dB at 20 Hz in all, and 24 dB per octave beyond. Source: EN 14363 (cut-off read, slope
+    recalled)."""
     single = FORCE_CUTOFF / (np.sqrt(2) - 1) ** 0.25
     return scipy.signal.sosfiltfilt(scipy.signal.butter(2, single, fs=rate, output="sos"), values)
 
@@ -126,9 +121,7 @@ def sliding_mean(values, p) -> np.ndarray:
 
 def flange_contacts(angle, p) -> float:
     """Count the flange contacts of a wheel per distance (1/km): stretches with a contact angle (rad) above 30 degrees.
-
-    Stretches less than 1 m apart count as one contact.
-    """
+    Stretches less than 1 m apart count as one contact."""
     p = np.asarray(p, dtype=float)
     edges = np.diff((np.abs(angle) > FLANGE_ANGLE).astype(int), prepend=0, append=0)
     starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
@@ -137,11 +130,9 @@ def flange_contacts(angle, p) -> float:
 
 
 def creep_work(series: pd.DataFrame) -> dict[str, float]:
-    """Compute the energy lost to creep per metre (J/m = N), mean over the distance and the four wheels.
-
-    The dict has the keys "t_gamma", the wear number, which leaves out spin, and "creep_work" with the spin moment: it
-    does much of the work on an inclined contact, as of S1002. Source: Elkins and Eickhoff 1982 (recalled).
-    """
+    """Compute the energy lost to creep per metre (J/m = N), mean over the distance and the four wheels. The dict has
+    the keys "t_gamma", the wear number, which leaves out spin, and "creep_work" with the spin moment: it does much of
+    the work on an inclined contact, as of S1002. Source: Elkins and Eickhoff 1982 (recalled)."""
     lost = []
     for name, (gear, _) in GEAR_AND_SIDE.items():
         wheel, lengths = Part(series, name), np.gradient(Part(series, gear).p)
@@ -159,7 +150,7 @@ def weighting_filter(name: str, rate: float) -> np.ndarray:
     manual of a vibration meter).
     """
     transition, step, gain = WEIGHTINGS[name]
-    low, high = (_quadratic(f, 1 / np.sqrt(2)) for f in _BAND)
+    low, high = (_quadratic(f, 1 / np.sqrt(2)) for f in (0.4, 100.0))
     slope = [gain / (2 * np.pi * transition), gain]
     factors: list[tuple] = [([low[0], 0, 0], low), ([1], high), (slope, _quadratic(transition, 0.63))]
     if step is not None:

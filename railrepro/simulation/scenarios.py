@@ -134,10 +134,8 @@ class Scenario:
 
     def route(self, irregularities=None, line=None) -> route.Route:
         """Make the `Route` along the track of the scenario, of the length `end_m`. InputError if the track is shorter.
-
         `irregularities` and `line` (a planned set point) are as in `railrepro.track.route.lay`. A warning says where
-        more than 1.5 m/s2 of lateral acceleration remain unbalanced at the initial speed.
-        """
+        more than 1.5 m/s2 of lateral acceleration remain unbalanced at the initial speed."""
         left, right = map(np.transpose, self.poor_shares)
         poor = (lambda p: np.interp(p, *left), lambda p: np.interp(p, *right))
         starts, forces = np.transpose([(-np.inf, 0.0), *self.force_kN])

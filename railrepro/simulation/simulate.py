@@ -1,7 +1,5 @@
 """Multi-rate co-simulation: the car and the control law at 1 kHz, slower lateral controllers at their own period.
-
-Serves the paper's Fig. 4 and section Simulation Environment.
-"""
+Serves the paper's Fig. 4 and section Simulation Environment."""
 
 from __future__ import annotations
 
@@ -60,10 +58,8 @@ class Run:
 
     def plot(self, *panels: str, gear: str = "front") -> Figure:
         """Draw the run over the track coordinate (m) in a new figure, set points dotted. Needs the package matplotlib.
-
         `panels` are keys of `railrepro.simulation.plot.PANELS`, one per row: "y", "error", "du", "torques", "adhesion",
-        "slip", "speed", …; `gear` is "front" or "rear".
-        """
+        "slip", "speed", …; `gear` is "front" or "rear"."""
         from railrepro.simulation import plot  # a run needs no Matplotlib
 
         return plot.figure_of(self.series, panels or ("y", "error"), gear)
@@ -135,10 +131,8 @@ def run(
 def start(
     scenario: Scenario, guidance: lateral.LateralLaw, route: Route, vehicle: Vehicle, plant_vehicle: Vehicle, **settings
 ) -> ClosedLoop:
-    """Couple car and 1 kHz law for a scenario. The car starts in vertical equilibrium at the initial speed.
-
-    The arguments are as in `run`; `settings` are its `adhesion`, `fixed_share`, `sensors` and `substeps`.
-    """
+    """Couple car and 1 kHz law for a scenario. The car starts in vertical equilibrium at the initial speed. The
+    arguments are as in `run`; `settings` are its `adhesion`, `fixed_share`, `sensors` and `substeps`."""
     substeps = settings.pop("substeps", 1)
     settings |= {"lateral_limit": DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
     control = law.control_law(vehicle, guidance, **settings)

@@ -8,10 +8,11 @@ import pytest
 
 from railrepro.data import InputError
 from railrepro.estimation import sensors
-from railrepro.estimation.sensors import LONGEST, SIGNALS, Readings, SensorMemory, Signals, load_loop
+from railrepro.estimation.sensors import LONGEST, SIGNALS, Latency, Readings, SensorMemory, Signals, load_loop
 from railrepro.quantities import pack, symbols
 
 LOOP = load_loop()
+EXACT = LOOP.perfect()
 TRUTH = {"y_ahead": 2e-3, "y_behind": 1e-3, "psidot_Ax": 0.02, "w_le": 100.0, "w_ri": 99.0, "v": 45.0, "p": 300.0}
 
 
@@ -27,11 +28,6 @@ def readings(cycles, loop, seed=0, gear=0, move=lambda k, name: TRUTH[name]):
         row, state = step([move(k, name) for name in SIGNALS], k, state)
         rows[k] = np.array(row).ravel()
     return rows
-
-
-def perfect_but(group, **changes):
-    exact = LOOP.perfect()
-    return replace(exact, **{group: replace(getattr(exact, group), **changes)})
 
 
 def test_noise_has_the_stated_size_and_a_bias_stays():
@@ -80,13 +76,13 @@ def test_noise_has_the_same_bits_everywhere():
 
 @pytest.mark.parametrize(("true", "read"), [(1.4e-3, 1e-3), (1.6e-3, 2e-3), (-0.4e-3, 0.0), (-0.6e-3, -1e-3)])
 def test_a_reading_is_the_nearest_step_of_its_resolution(true, read):
-    loop = perfect_but("lateral", resolution=1e-3)
+    loop = replace(EXACT, lateral=replace(EXACT.lateral, resolution=1e-3))
     assert readings(1, loop, move=lambda k, name: true)[0, :2] == pytest.approx(read, abs=1e-12)
 
 
 @pytest.mark.parametrize(("age", "expected"), [(3e-3, 17.0), (2.5e-3, 17.5), (0.0, 20.0), (20e-3, 0.0)])
 def test_all_readings_but_the_position_are_delayed(age, expected):
-    found = readings(21, perfect_but("latency", measurement=age), move=lambda k, name: float(k))[-1]
+    found = readings(21, replace(EXACT, latency=Latency(age, 0.0)), move=lambda k, name: float(k))[-1]
     assert found[:-1] == pytest.approx(expected, rel=1e-15)
     assert found[SIGNALS.index("p")] == 20.0
 

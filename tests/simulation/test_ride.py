@@ -56,8 +56,7 @@ def test_mean_comfort_is_a_percentile_of_weighted_blocks_that_overlap(axis):
 
 
 def test_low_pass_has_its_cut_off_slope_and_no_phase():
-    t = time(4)
-    middle = slice(1500, 2500)
+    t, middle = time(4), slice(1500, 2500)
     for frequency, level in ((5, 1.0), (20, 1 / np.sqrt(2)), (40, 10 ** (-17.7 / 20))):
         wave = np.sin(2 * np.pi * frequency * t)
         np.testing.assert_allclose(ride.low_pass(wave, RATE)[middle], level * wave[middle], atol=0.003)
@@ -138,13 +137,11 @@ def test_summary_names_every_figure_with_its_unit():
 
 def test_summary_takes_the_worst_wheel_the_roll_and_all_flanges():
     plain = steady_series()
-    struck, pushed = plain.copy(), plain.copy()
+    struck, pushed, tilted = plain.copy(), plain.copy(), plain.assign(**{"front.phi": 1e-3, "rear.phi": 1e-3})
     struck.loc[2000:3000, "rear_le.angle"] = np.radians(40)
     pushed.loc[1000:1500, ["front_le.Fy", "front_ri.Fy"]] = 3e3
-    tilted = plain.assign(**{"front.phi": 1e-3, "rear.phi": 1e-3})
-    found, bare = (ride.ride_summary(series, VEHICLE) for series in (struck, plain))
-    assert found["flange_contacts"][0] == pytest.approx(1e3 / (50 * 7.999))
-    assert found["y_over_q"][0] > 0.7 > bare["y_over_q"][0]
+    figures = ride.ride_summary(struck, VEHICLE)
+    assert figures["flange_contacts"][0] == pytest.approx(1e3 / (50 * 7.999)) and figures["y_over_q"][0] > 0.7
     for series, shifting, tolerance in ((pushed, 6.0, 0.03), (tilted, 4 - 2 * 0.07848, 1e-3)):
         share, _ = ride.ride_summary(series, VEHICLE)["sum_y_over_limit"]
         assert share == pytest.approx(shifting / 62.32, rel=tolerance)
