@@ -154,7 +154,7 @@ def observe(
 ) -> tuple[Estimates, FilterState]:
     """Correct the filters of a gear by the readings of this cycle, and predict to the time when a torque acts.
 
-    Returns the `Estimates` then, and the corrected `FilterState` at the time of the readings, for `advance`. All
+    Returns the `Estimates` at that time, and the corrected `FilterState` at the time of the readings for `advance`. All
     numbers are of type SX.
 
     Args:

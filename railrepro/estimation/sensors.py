@@ -45,7 +45,7 @@ _SEEDS = 1_000_003
 
 @dataclass(frozen=True)
 class Quality:
-    """Errors of the sensor of one signal in one run, in the unit of the signal; `bias` is the drawn one."""
+    """Errors of the sensor of one signal in one run: standard deviation, constant offset and step, in its unit."""
 
     noise: Scalar
     bias: Scalar
@@ -312,6 +312,6 @@ def gaussian(seed, channel: int, ticks):
 
 
 def _modulo(x):
-    """Reduce a whole number modulo the largest prime below 2^26. A rounded quotient that is one off gives another whole
-    number, the same everywhere."""
+    """Reduce a whole number modulo the largest prime below 2^26. Where the rounded quotient is one off, the result is
+    another whole number, the same everywhere."""
     return x - 67108859.0 * ca.floor(x * (1 / 67108859.0))

@@ -76,7 +76,7 @@ def gear_series(series: pd.DataFrame, gear: str = "front", stride: int = 1) -> p
 
 
 def lateral_error(series: pd.DataFrame, gear: str = "front") -> np.ndarray:
-    """Compute the lateral error y - y* of a gear in each row (m): displacement from the ideal track minus set point."""
+    """Compute the lateral error y - y* of a gear over a run (m): displacement from the ideal track minus set point."""
     return Part(series, gear).y - Part(series, gear).y_ref
 
 
@@ -85,7 +85,8 @@ def _rms(values: np.ndarray) -> float:
 
 
 def rmse(series: pd.DataFrame, gear: str = "front") -> float:
-    """Compute the root mean square of the `lateral_error` (m). Source: paper, section Evaluation of Lateral Control."""
+    """Compute the root mean square of the `lateral_error` over a run (m). Source: paper, section Evaluation of Lateral
+    Control."""
     return _rms(lateral_error(series, gear))
 
 
@@ -95,8 +96,8 @@ def followed_rmse(series: pd.DataFrame, gear: str = "front") -> float:
 
 
 def on_flange(series: pd.DataFrame) -> np.ndarray:
-    """Find the rows in which any wheel touches its rail with the flange: bool, shape (n,). A wheel touches if its
-    contact angle exceeds 30 degrees, or its gear is more than 7 mm from the middle of the rails. Only the second
+    """Find the rows of a run in which any wheel touches its rail with the flange: bool, shape (n,). A wheel touches if
+    its contact angle exceeds 30 degrees, or its gear is more than 7 mm from the middle of the rails. Only the second
     applies to cones, which have no flange."""
     displacement = [np.abs(Part(series, gear).y - Part(series, gear).rail_y) for gear in GEARS]
     angle = [np.abs(Part(series, wheel).angle) for wheel in WHEELS]
@@ -104,7 +105,7 @@ def on_flange(series: pd.DataFrame) -> np.ndarray:
 
 
 def reaches_flange(series: pd.DataFrame) -> bool:
-    """Find out whether a wheel touches its rail with the flange in any row, see `on_flange`."""
+    """Find out whether a wheel touches its rail with the flange in any row of a run, see `on_flange`."""
     return bool(on_flange(series).any())
 
 
@@ -130,7 +131,7 @@ def delay(series: pd.DataFrame, gear: str = "front") -> float:
 
 
 def effort(series: pd.DataFrame, gear: str = "front") -> float:
-    """Compute the root mean square of the differential torque of a gear (N m)."""
+    """Compute the root mean square of the differential torque of a gear over a run (N m)."""
     return _rms(Part(series, gear).du)
 
 
@@ -143,7 +144,7 @@ def activity(series: pd.DataFrame, gear: str = "front") -> float:
 
 
 def stopping_distance(series: pd.DataFrame) -> float:
-    """Measure the distance of the front gear from the first to the last row (m), also if the car does not stop."""
+    """Measure the distance of the front gear over a run (m), also if the car does not stop."""
     p = Part(series, "front").p
     return float(p[-1] - p[0])
 
@@ -151,9 +152,9 @@ def stopping_distance(series: pd.DataFrame) -> float:
 def summary(series: pd.DataFrame) -> dict[str, tuple[float, str]]:
     """Compute the lateral metrics of a run as a dict: name -> (value, unit).
 
-    All are for the front gear, except rmse_y_rear. `rmse`, `followed_rmse`, `delay`, `effort` and `activity` describe
-    theirs. rail_rmse_y is the root mean square of the displacement from the irregular rails, mean_error_last_third the
-    mean of y - y* over the last third of the rows, largest_error the largest |y - y*|.
+    All are for the front gear, except rmse_y_rear. The functions `rmse`, `followed_rmse`, `delay`, `effort` and
+    `activity` define the first ones. rail_rmse_y is the root mean square of the displacement from the irregular rails,
+    mean_error_last_third the mean of y - y* over the last third of the rows, largest_error the largest |y - y*|.
     """
     error, front = lateral_error(series), Part(series, "front")
     return {
@@ -192,7 +193,7 @@ def longitudinal(series: pd.DataFrame, scenario: Scenario, vehicle: Vehicle) -> 
     - utilisation (-), only with a force demand: mean of adhesion over `adhesion_limit`, for the front gear and the rows
       in which the demand exceeds this limit.
 
-    Slip and utilisation are of the rows in which the front gear is faster than 2 m/s, nan without such rows.
+    Only rows in which the front gear is faster than 2 m/s count for slip and utilisation; nan without such rows.
     """
     require("metrics: scenario", scenario, Scenario)
     front = Part(series, "front")

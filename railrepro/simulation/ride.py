@@ -85,7 +85,7 @@ def _force_figures(series: pd.DataFrame, wheel_load: float, rate: float) -> dict
 
 
 def rail_forces(normal, creep, angle, side: str, roll) -> tuple[np.ndarray, np.ndarray]:
-    """Resolve the force of a wheel on its rail in axes of the track: Y, positive to the right, and Q, downwards (N).
+    """Compute the forces of a wheel on its rail (N) in axes of the track: Y, to the right, and Q, downwards.
 
     Args:
         normal: Normal force (N), output `N` of the car.
@@ -101,7 +101,7 @@ def rail_forces(normal, creep, angle, side: str, roll) -> tuple[np.ndarray, np.n
 
 
 def low_pass(values, rate: float) -> np.ndarray:
-    """Filter by a low-pass without phase shift; shape and unit stay. A Butterworth filter of second order, run forwards
+    """Filter `values` by a low-pass without phase shift. A Butterworth filter of second order, run forwards
     and backwards, has -3 dB at 20 Hz in all, and 24 dB per octave beyond. Source: EN 14363 (cut-off read, slope
     recalled)."""
     single = FORCE_CUTOFF / (np.sqrt(2) - 1) ** 0.25
@@ -109,7 +109,8 @@ def low_pass(values, rate: float) -> np.ndarray:
 
 
 def sliding_mean(values, p) -> np.ndarray:
-    """Average over windows of 2 m of track, which start every 0.5 m: shape (windows,). InputError for a shorter run."""
+    """Average `values` over windows of 2 m of the track coordinate `p` (m), which start every 0.5 m: shape (windows,).
+    InputError for a run shorter than 2 m."""
     p = np.maximum.accumulate(np.asarray(p, dtype=float))  # a car that has come to a stand rolls back a little
     last = p[-1] - p[0] - WINDOW
     if last < 0:
@@ -142,7 +143,8 @@ def creep_work(series: pd.DataFrame) -> dict[str, float]:
 
 
 def weighting_filter(name: str, rate: float) -> np.ndarray:
-    """Design the digital filter of the weighting "Wd" or "Wb": second-order sections, shape (3, 6) or (4, 6).
+    """Design the digital filter of the weighting "Wd" or "Wb": second-order sections, shape (3, 6) or (4, 6). `rate`
+    is the sampling rate (Hz).
 
     The sections are band limits at 0.4 and 100 Hz (Butterworth, second order), the transition from acceleration to
     velocity and, for "Wb", an upward step, by the bilinear transform without pre-warping. At 1 kHz the weights are

@@ -85,7 +85,7 @@ class Scenario:
         good, poor (str): Names of the two adhesion sets of the vehicle.
         poor_share (tuple of pairs): Points (p (m), share of the set `poor` (0 to 1)), linear in between.
         poor_share_left, poor_share_right (tuple of pairs): Replace `poor_share` on one rail.
-        force_kN (tuple of pairs): Steps (p (m), force demand per running gear (kN, traction positive)).
+        force_kN (tuple of pairs): Steps (p (m), force demand per running gear from p on (kN, traction positive)).
         set_point (dict): Lateral set point, with the fields of `NoSetPoint`, `Sine` or `Sweep`.
     """
 

@@ -43,7 +43,7 @@ class Run:
         series (DataFrame): One row per ms: t_s (s), then `ClosedLoop.columns` (SI), such as `front.y` and `front_le.N`.
         ended (str): Why the run ended, in one sentence.
         failed (bool): Whether it ended by derailment or by a number that is not finite.
-        warnings (tuple of str): Where the run first left the range in which a model is valid, in sentences.
+        warnings (tuple of str): Sentences that say where the run first left the range in which a model is valid.
         controllers (tuple): Slower lateral controllers of both gears, such as MPC, whose attribute `fallbacks` counts
             samples without solution; () for a 1 kHz law.
         memory (dict): Name in `law.LawSignature.memory` -> state of the control law at the end (SI).
