@@ -11,8 +11,8 @@ inputs are the creep forces of the wheels, its gains are scheduled over the spee
     y' = v (psi + beta),   psi' = r - v kappa,   J_z r' = b/2 (F_le - F_ri) - springs and dampers + gyroscopic moment
 
 The car needs a creep angle to carry lateral force. Controllers get psi plus the low-pass filtered beta as yaw angle,
-because an inversion must not react to beta at once. Both filters are then predicted to the time when a torque acts.
-Serves the measured states of the paper's eq. (18).
+because an inversion must not react to beta at once. The estimates are predicted to the time when a torque acts. Serves
+the measured states of the paper's eq. (18).
 """
 
 from __future__ import annotations

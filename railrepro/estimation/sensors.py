@@ -154,14 +154,9 @@ class Inverter:
 
 @data.table
 class Filter:
-    """Settings of the filter `estimation.observers`: process noise (roots of spectral densities), low-pass filters.
-
-    Attributes:
-        force_rate, creep_rate (float): Noise in the derivatives of the creep force of a wheel (N/s^0.5) and of the
-            creep angle (rad/s^0.5).
-        yaw_acceleration, gyro_drift (float): Noise in the derivatives of yaw rate and gyro bias (rad/s^1.5).
-        creep_lag, speed_lag (float): Time constants for the estimated creep angle and for the read speed (s).
-    """
+    """Settings of the filter `estimation.observers`. The first four are process noise (roots of spectral densities) in
+    the derivatives of a wheel's creep force, creep angle, yaw rate and gyro bias. The lags are time constants of the
+    low-pass filters of creep angle and speed."""
 
     force_rate: Annotated[float, _upto(1e7, "N/s^0.5")]
     creep_rate: Annotated[float, _upto(1.0, "rad/s^0.5")]

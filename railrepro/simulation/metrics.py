@@ -18,8 +18,7 @@ from railrepro.vehicle.parameters import Vehicle
 FLANGE_ANGLE = np.radians(30)
 """Contact angle above which a wheel counts as touching with its flange (rad); the tread of S1002 stays far below it."""
 FLANGEWAY = 7e-3
-"""Displacement of a gear from the middle of the rails above which its flanges count as touching (m). S1002 wheels touch
-at 6 to 8 mm."""
+"""Displacement from the middle of the rails above which a gear's flanges count as touching (m); S1002: 6 to 8 mm."""
 ACTIVITY = 5.0
 """Cut-off frequency of `activity` (Hz), above all set points: a sweep of 40 m at 400 km/h has 2.8 Hz."""
 
@@ -62,11 +61,11 @@ FILE_COLUMNS = {column("front", quantity): name for quantity, name in _OF_GEAR.i
 def gear_series(series: pd.DataFrame, gear: str = "front", stride: int = 1) -> pd.DataFrame:
     """Select every `stride`-th row of a series, with t_s (s) and the quantities of one running gear (SI).
 
-    The columns keep their names, for the front gear: front.p and front.v along the track; front.y and its set point
-    front.y_ref; yaw angles front.psi_Ax (absolute) and front.psi_TrAx (against the track); torques front.du, front.u_d,
-    front.tau_long; adhesion set point front.f_star; front.segment of the adhesion law; torque, adhesion and slip of
-    each wheel, such as front_ri.tau, front_ri.adhesion, front_ri.sx. Two are added: front.creep_angle between heading
-    and motion (rad), and the lateral error front.error (m).
+    Columns for the front gear: front.p and front.v along the track; front.y and its set point front.y_ref; yaw angles
+    front.psi_Ax (absolute), front.psi_TrAx (against the track); torques front.du, front.u_d, front.tau_long; adhesion
+    set point front.f_star; front.segment of the adhesion law; torque, adhesion and slip of each wheel, such as
+    front_ri.tau, front_ri.adhesion, front_ri.sx. Two are added to those of the series: front.creep_angle between
+    heading and motion (rad), and the lateral error front.error (m).
     """
     rows = series.iloc[::stride]
     creepage = Part(rows, f"{gear}_ri").nu_y + Part(rows, f"{gear}_le").nu_y
@@ -85,8 +84,7 @@ def _rms(values: np.ndarray) -> float:
 
 
 def rmse(series: pd.DataFrame, gear: str = "front") -> float:
-    """Compute the root mean square of the `lateral_error` over a run (m). Source: paper, section Evaluation of Lateral
-    Control."""
+    """Compute the root mean square of `lateral_error` (m). Source: paper, section Evaluation of Lateral Control."""
     return _rms(lateral_error(series, gear))
 
 

@@ -37,7 +37,7 @@ _OUTWARDS = {"le": -1, "ri": 1}
 
 
 def ride_summary(series: pd.DataFrame, vehicle: Vehicle) -> dict[str, tuple[float, str]]:
-    """Compute figures of ride and safety as a dict: name -> (value, unit). InputError if a column is missing.
+    """Compute figures of ride and safety from `simulate.Run.series` and the simulated car: name -> (value, unit).
 
     - sum_y_over_limit (-): largest track shifting force of a gear over Prud'homme's limit.
     - y_over_q (-): largest mean of Y/Q over 2 m, of all wheels. A run shorter than 2 m raises InputError.
@@ -45,8 +45,6 @@ def ride_summary(series: pd.DataFrame, vehicle: Vehicle) -> dict[str, tuple[floa
     - flange_contacts (1/km): sum over the wheels.
     - t_gamma, creep_work (N): see the function `creep_work`.
     - n_mv_floor_front, n_mv_floor_centre, n_mv_floor_rear (-): `mean_comfort` at each point of `FLOOR`.
-
-    `series` is `simulate.Run.series`, `vehicle` the simulated car.
     """
     t = series["t_s"].to_numpy()
     rate = (t.size - 1) / (t[-1] - t[0])
@@ -87,12 +85,9 @@ def _force_figures(series: pd.DataFrame, wheel_load: float, rate: float) -> dict
 def rail_forces(normal, creep, angle, side: str, roll) -> tuple[np.ndarray, np.ndarray]:
     """Compute the forces of a wheel on its rail (N) in axes of the track: Y, to the right, and Q, downwards.
 
-    Args:
-        normal: Normal force (N), output `N` of the car.
-        creep: Lateral creep force on the wheel, positive to the right (N), output `Fy`.
-        angle: Contact angle against the axle, positive towards the flange (rad).
-        side (str): "le" or "ri".
-        roll: Roll of the axle against the track (rad).
+    `normal` is the normal force (N), `creep` the lateral creep force on the wheel, positive to the right (N), `angle`
+    the contact angle against the axle, positive towards the flange (rad), `side` "le" or "ri", `roll` the roll of the
+    axle against the track (rad).
     """
     tilt = _OUTWARDS[side] * np.asarray(angle, dtype=float) - roll
     y = np.multiply(normal, np.sin(tilt)) - np.multiply(creep, np.cos(tilt))
@@ -143,8 +138,7 @@ def creep_work(series: pd.DataFrame) -> dict[str, float]:
 
 
 def weighting_filter(name: str, rate: float) -> np.ndarray:
-    """Design the digital filter of the weighting "Wd" or "Wb": second-order sections, shape (3, 6) or (4, 6). `rate`
-    is the sampling rate (Hz).
+    """Design the digital filter of the weighting "Wd" or "Wb" for a sampling rate (Hz), as second-order sections.
 
     The sections are band limits at 0.4 and 100 Hz (Butterworth, second order), the transition from acceleration to
     velocity and, for "Wb", an upward step, by the bilinear transform without pre-warping. At 1 kHz the weights are

@@ -156,8 +156,7 @@ class Scenario:
         return replace(laid, length=self.end_m)
 
     def track_file(self) -> str:
-        """Return the argument for `load_track`: the name of the track, or the path of its CSV. A relative path is first
-        looked for in the checkout, then in the working folder."""
+        """Return the name of the track, or the path of its CSV, in the checkout or else from the working folder."""
         file = paths.source(self.track)
         return str(file) if self.track.endswith(".csv") and file.is_file() else self.track
 
@@ -175,8 +174,7 @@ class Scenario:
 
 
 def load_scenarios(path: Path | str | None = None) -> Entries[Scenario]:
-    """Read all scenarios of a TOML file, by default data/scenarios.toml, as a dict by name. InputError for a wrong
-    entry."""
+    """Read the scenarios of a TOML file (default data/scenarios.toml) as a dict by name. InputError for a wrong one."""
     file = data.location(path, paths.source("data/scenarios.toml"))
     content = data.read(file)
     for name, entry in content.items():

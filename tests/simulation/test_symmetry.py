@@ -15,19 +15,16 @@ ODD += tuple(f"{order}{name}" for name in ("lateral", "crosslevel", "y_ref") for
 
 def turned(route, angle=0.1):
     """The route with its whole track turned about its origin."""
-    cells = route.cells.copy()
-    x, y = cells[:, INDEX["x"]].copy(), cells[:, INDEX["y"]].copy()
+    cells, xy = route.cells.copy(), [INDEX["x"], INDEX["y"]]
     cells[:, INDEX["psi"]] += angle
-    cells[:, INDEX["x"]] = np.cos(angle) * x - np.sin(angle) * y
-    cells[:, INDEX["y"]] = np.sin(angle) * x + np.cos(angle) * y
+    cells[:, xy] = cells[:, xy] @ [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
     return replace(route, cells=cells)
 
 
 def mirrored(route):
     """The route with left and right exchanged."""
-    cells = route.cells.copy()
+    cells, sides = route.cells.copy(), [INDEX["poor_le"], INDEX["poor_ri"]]
     cells[:, [INDEX[name] for name in ODD]] *= -1
-    sides = [INDEX["poor_le"], INDEX["poor_ri"]]
     cells[:, sides] = cells[:, sides[::-1]]
     return replace(route, cells=cells)
 
