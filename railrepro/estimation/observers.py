@@ -11,8 +11,8 @@ inputs are the creep forces of the wheels, its gains are scheduled over the spee
     y' = v (psi + beta),   psi' = r - v kappa,   J_z r' = b/2 (F_le - F_ri) - springs and dampers + gyroscopic moment
 
 The car needs a creep angle to carry lateral force. Controllers get psi plus the low-pass filtered beta as yaw angle,
-because an inversion must not react to beta at once. The estimates are predicted to the time when a torque acts. Serves
-the measured states of the paper's eq. (18).
+because an inversion must not react to beta at once. All estimates are predicted to the time when a torque acts.
+Serves the measured states of the paper's eq. (18).
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def lateral_matrices(vehicle: Vehicle, speed: float) -> tuple[np.ndarray, np.nda
 
 
 def _stationary(a, c, q, r) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the stationary Kalman gain, and the covariance after a reading, of x' = a x + noise. The noise has the
+    """Compute the stationary Kalman gain, and the covariance after a reading. The system is x' = a x + noise with the
     spectral density q; c x is read every ms with covariance r. Source: Van Loan 1978; Anderson and Moore 1979, Optimal
     Filtering, ch. 4."""
     n = len(a)
@@ -154,8 +154,7 @@ def observe(
 ) -> tuple[Estimates, FilterState]:
     """Correct the filters of a gear by the readings of this cycle, and predict to the time when a torque acts.
 
-    Returns the `Estimates` at that time, and the corrected `FilterState` at the time of the readings for `advance`. All
-    numbers are of type SX.
+    Returns the `Estimates` at that time, and the corrected `FilterState` at the time of the readings. Numbers are SX.
 
     Args:
         readings (Signals): Delayed readings.

@@ -76,9 +76,8 @@ class ClosedLoop:
         parameters[:] = codegen.for_c("control: gains", control.gains, parameters.shape)
 
     def run(self, n: int) -> np.ndarray:
-        """Advance by n control cycles of 1 ms, or fewer when a limit is reached (see `margins`). Returns an array with
-        a row per cycle, taken before the car advances, and the columns `columns` (SI). When a limit is reached, the
-        last row and `state` are at the limit."""
+        """Advance by n control cycles of 1 ms, or until a limit is reached, where the last row then is (see `margins`).
+        Returns an array with a row per cycle, taken before the car advances, and the columns `columns` (SI)."""
         require("n", n, between(0, math.inf), whole=True)
         self.car.c.period = CONTROL_PERIOD / self.car.c.substeps  # `SteppedCar.step` may have had another one
         blocks, block = [np.empty((0, len(self.columns)))], 1

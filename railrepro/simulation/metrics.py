@@ -94,9 +94,8 @@ def followed_rmse(series: pd.DataFrame, gear: str = "front") -> float:
 
 
 def on_flange(series: pd.DataFrame) -> np.ndarray:
-    """Find the rows of a run in which any wheel touches its rail with the flange: bool, shape (n,). A wheel touches if
-    its contact angle exceeds 30 degrees, or its gear is more than 7 mm from the middle of the rails. Only the second
-    applies to cones, which have no flange."""
+    """Find the rows of a run in which a flange touches its rail: bool, shape (n,). A contact angle then exceeds 30
+    degrees, or a gear is more than 7 mm from the middle of the rails. With cones only the second can be."""
     displacement = [np.abs(Part(series, gear).y - Part(series, gear).rail_y) for gear in GEARS]
     angle = [np.abs(Part(series, wheel).angle) for wheel in WHEELS]
     return (np.max(displacement, axis=0) > FLANGEWAY) | (np.max(angle, axis=0) > FLANGE_ANGLE)

@@ -57,9 +57,8 @@ def ride_summary(series: pd.DataFrame, vehicle: Vehicle) -> dict[str, tuple[floa
 
 
 def _force_figures(series: pd.DataFrame, wheel_load: float, rate: float) -> dict[str, tuple[float, str]]:
-    """Compute the largest rail forces, and flange contacts. Prud'homme's limit is 10 kN + 2 Q0 / 3 (recalled). The
-    standards evaluate percentiles over many sections of track; of one short run the largest value is taken. Source: EN
-    14363 and UIC 518 (read)."""
+    """Compute the largest rail forces, and flange contacts. The standards evaluate percentiles over many sections.
+    Prud'homme's limit is 10 kN + 2 Q0 / 3 (recalled). Source: EN 14363 and UIC 518 (read)."""
     shifting, ratios, unloading, contacts = [], [], [], 0.0
     for gear in GEARS:
         p, phi, lateral = Part(series, gear).p, Part(series, gear).phi, []
@@ -86,8 +85,8 @@ def rail_forces(normal, creep, angle, side: str, roll) -> tuple[np.ndarray, np.n
     """Compute the forces of a wheel on its rail (N) in axes of the track: Y, to the right, and Q, downwards.
 
     `normal` is the normal force (N), `creep` the lateral creep force on the wheel, positive to the right (N), `angle`
-    the contact angle against the axle, positive towards the flange (rad), `side` "le" or "ri", `roll` the roll of the
-    axle against the track (rad).
+    the contact angle against the axle, positive towards the flange (rad), `side` "le" or "ri", and `roll` the roll
+    angle of the axle against the track (rad).
     """
     tilt = _OUTWARDS[side] * np.asarray(angle, dtype=float) - roll
     y = np.multiply(normal, np.sin(tilt)) - np.multiply(creep, np.cos(tilt))
@@ -97,15 +96,13 @@ def rail_forces(normal, creep, angle, side: str, roll) -> tuple[np.ndarray, np.n
 
 def low_pass(values, rate: float) -> np.ndarray:
     """Filter `values` by a low-pass without phase shift. A Butterworth filter of second order, run forwards
-    and backwards, has -3 dB at 20 Hz in all, and 24 dB per octave beyond. Source: EN 14363 (cut-off read, slope
-    recalled)."""
+    and backwards, has -3 dB at 20 Hz in all, then 24 dB per octave. Source: EN 14363 (cut-off read, slope recalled)."""
     single = FORCE_CUTOFF / (np.sqrt(2) - 1) ** 0.25
     return scipy.signal.sosfiltfilt(scipy.signal.butter(2, single, fs=rate, output="sos"), values)
 
 
 def sliding_mean(values, p) -> np.ndarray:
-    """Average `values` over windows of 2 m of the track coordinate `p` (m), which start every 0.5 m: shape (windows,).
-    InputError for a run shorter than 2 m."""
+    """Average `values` over windows of 2 m, which start every 0.5 m: shape (windows,). InputError for a shorter run."""
     p = np.maximum.accumulate(np.asarray(p, dtype=float))  # a car that has come to a stand rolls back a little
     last = p[-1] - p[0] - WINDOW
     if last < 0:

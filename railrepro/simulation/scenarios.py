@@ -1,5 +1,4 @@
-"""Scenarios: track, speed, adhesion, set point and force demand of a run, as data. Serves the paper's section Test
-Tracks and the captions of Figs. 6 to 9."""
+"""Scenarios: track, speed, adhesion, set point and force demand of a run. Serves the paper's section Test Tracks."""
 
 from __future__ import annotations
 

@@ -20,11 +20,10 @@ from railrepro.car.component import DERAILED, SteppedCar
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.control import cycle, interface, lateral, law
 from railrepro.control.adhesion import AdhesionSettings
-from railrepro.control.law import GEARS
 from railrepro.data import InputError, is_number, require
 from railrepro.estimation.sensors import Loop, Readings
 from railrepro.model.control_model import STATES, X
-from railrepro.quantities import names
+from railrepro.quantities import GEARS, names
 from railrepro.simulation.closed_loop import ClosedLoop
 from railrepro.simulation.metrics import FLANGE_ANGLE, FLANGEWAY, Part
 from railrepro.simulation.scenarios import Scenario
