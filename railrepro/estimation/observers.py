@@ -1,17 +1,17 @@
-r"""Filter of a running gear: from late, noisy readings to its present states, creep forces and slips.
+r"""Filter of a running gear: estimates states, creep forces and slips from delayed, noisy readings.
 
-Two kinds of Kalman filter with stationary gains run on the readings, that is, in the past. One per wheel finds speed w
-and longitudinal creep force F from the torque that was commanded to the motor:
+Two kinds of Kalman filter with stationary gains run at the time of the readings. One per wheel estimates the speed w
+and the longitudinal creep force F from the commanded motor torque u:
 
     T_m tau' = u - tau,   J_Wy w' = tau - r_0 F,   F' = noise
 
-One per gear finds lateral position, yaw angle against the track, yaw rate, gyro bias and creep angle; its gains are
-scheduled over the speed, and the creep forces of the wheels turn it:
+One per gear estimates displacement y, yaw angle psi against the track, yaw rate r, gyro bias and creep angle beta. Its
+inputs are the creep forces of the wheels, its gains are scheduled over the speed:
 
     y' = v (psi + beta),   psi' = r - v kappa,   J_z r' = b/2 (F_le - F_ri) - springs and dampers + gyroscopic moment
 
-Creep angle and yaw angle are two states: the car needs the first to carry lateral force, and the inversion of a
-controller must not take it for the second at once. Then both are predicted to the moment when a torque will arrive.
+The car needs a creep angle to carry lateral force. Controllers get psi plus the low-pass filtered beta as yaw angle,
+because an inversion must not react to beta at once. All estimates are predicted to the time when a torque acts.
 Serves the measured states of the paper's eq. (18).
 """
 
@@ -33,14 +33,13 @@ from railrepro.quantities import SIDES, Scalar, pack, unpack
 from railrepro.vehicle.parameters import Vehicle
 
 SPEEDS = (2.0, 5.0, 10.0, 20.0, 40.0, 70.0, 120.0)
-"""Speeds at which the gains of the lateral filter are computed (m/s); in between they are interpolated."""
-_LEAST = 1e-9
-"""Noise of perfect sensors, for gains that stay finite (SI)."""
+"""Speeds at which the gains of the lateral filter are computed (m/s)."""
+_LEAST_NOISE = 1e-9
+"""Assumed noise of perfect sensors (SI), which keeps the gains finite."""
 LATERAL = ("y", "psi", "r", "bias", "beta")
 """States of the lateral filter: displacement (m), yaw angle against the track (rad), absolute yaw rate (rad/s), gyro
-bias (rad/s), creep angle (rad)."""
-_READ = ("y", "psi", "r")
-_AtSpeeds = Annotated[list[Scalar], range(len(SPEEDS))]
+bias (rad/s), creep angle (rad). The first three are read."""
+_GAINS = [f"{state}.{read}.{k}" for state in LATERAL for read in LATERAL[:3] for k in range(len(SPEEDS))]
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ class WheelState:
 
 @dataclass(frozen=True)
 class FilterState:
-    """States of the filter of a running gear: first `LATERAL`."""
+    """States of the filters of a running gear, `LATERAL` first."""
 
     y: Annotated[Scalar, "m"]
     psi: Annotated[Scalar, "rad"]
@@ -68,30 +67,11 @@ class FilterState:
 
 
 @dataclass(frozen=True)
-class LateralGain:
-    """Kalman gains of one of the states `LATERAL` by the readings y, psi, r (SI), each a list over `SPEEDS`."""
-
-    y: _AtSpeeds
-    psi: _AtSpeeds
-    r: _AtSpeeds
-
-
-@dataclass(frozen=True)
-class LateralGains:
-    """Kalman gains of the lateral filter, for each of the states `LATERAL`."""
-
-    y: LateralGain
-    psi: LateralGain
-    r: LateralGain
-    bias: LateralGain
-    beta: LateralGain
-
-
-@dataclass(frozen=True)
 class FilterGains:
-    """Run-time numbers of the filter."""
+    """Run-time numbers of the filters of a running gear. `lateral` has the Kalman gains (SI) of the states `LATERAL` by
+    the readings of y, psi, r at each of `SPEEDS`; the speed is the innermost index."""
 
-    lateral: LateralGains
+    lateral: Annotated[list[Scalar], _GAINS]
     wheel_w: Annotated[Scalar, "-", "Kalman gain of the speed of a wheel"]
     wheel_force: Annotated[Scalar, "N s", "Kalman gain of the creep force of a wheel"]
     prediction: Annotated[Scalar, "s", "time from the readings to the effect of a torque"]
@@ -102,7 +82,7 @@ class FilterGains:
 
 @dataclass(frozen=True)
 class Estimates:
-    """Estimates of a running gear when a torque will arrive; lists are [left, right] wheel."""
+    """Estimates of a running gear at the time when a torque acts. Lists are [left, right] wheel."""
 
     y_TrAx: Annotated[Scalar, "m", "lateral displacement"]
     psi_TrAx: Annotated[Scalar, "rad", "yaw angle against the track"]
@@ -113,24 +93,24 @@ class Estimates:
 
 
 def lateral_matrices(vehicle: Vehicle, speed: float) -> tuple[np.ndarray, np.ndarray]:
-    """Pair of matrices A (5, 5), C (3, 5) of the lateral filter at a speed (m/s), SI: x' = A x, readings C x. x holds
+    """Build the matrices A (5, 5), C (3, 5) of the lateral filter at a speed (m/s), SI: x' = A x, readings C x. x holds
     the states `LATERAL`. The readings are y, psi, and r plus the gyro bias."""
-    y, psi, r, bias, beta = range(len(LATERAL))
-    a, c = np.zeros((5, 5)), np.zeros((3, 5))
-    inertia = vehicle.gear.inertia_z
-    rolling = 2 * vehicle.wheel.spin_inertia * speed / vehicle.wheel.radius
-    a[y, [psi, beta]] = speed
-    a[psi, r] = 1.0
-    a[r, psi] = -(vehicle.suspension.yaw_stiffness + rolling * vehicle.gamma * speed) / inertia
-    a[r, beta] = -rolling * vehicle.gamma * speed / inertia
-    a[r, r] = -vehicle.suspension.yaw_damping / inertia
-    c[0, y] = c[1, psi] = c[2, r] = c[2, bias] = 1.0
-    return a, c
+    k, d, inertia = vehicle.suspension.yaw_stiffness, vehicle.suspension.yaw_damping, vehicle.gear.inertia_z
+    gyroscopic = 2 * vehicle.wheel.spin_inertia * speed / vehicle.wheel.radius * vehicle.gamma * speed
+    a = [
+        [0.0, speed, 0.0, 0.0, speed],
+        [0.0, 0.0, 1.0, 0.0, 0.0],
+        [0.0, -(k + gyroscopic) / inertia, -d / inertia, 0.0, -gyroscopic / inertia],
+        [0.0] * 5,
+        [0.0] * 5,
+    ]
+    return np.array(a), np.array([[1.0, 0.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 1.0, 0.0]])
 
 
 def _stationary(a, c, q, r) -> tuple[np.ndarray, np.ndarray]:
-    """Stationary Kalman gain for x' = a x + noise of spectral density q, read every cycle with covariance r; covariance
-    after a reading. Source: Van Loan 1978; Anderson and Moore 1979, Optimal Filtering, ch. 4."""
+    """Compute the stationary Kalman gain, and the covariance after a reading. The system is x' = a x + noise with the
+    spectral density q; c x is read every ms with covariance r. Source: Van Loan 1978; Anderson and Moore 1979, Optimal
+    Filtering, ch. 4."""
     n = len(a)
     both = expm(np.block([[-a, q], [np.zeros((n, n)), a.T]]) * CONTROL_PERIOD)
     step = both[n:, n:].T
@@ -140,31 +120,26 @@ def _stationary(a, c, q, r) -> tuple[np.ndarray, np.ndarray]:
 
 
 def lateral_filter(vehicle: Vehicle, loop: Loop, speed: float) -> tuple[np.ndarray, np.ndarray]:
-    """Stationary Kalman filter of the model `lateral_matrices` at a speed (m/s), with a reading every ms (SI).
-
-    `loop` has the noise of sensors and process. Returns a pair: gain (5, 3); covariance (5, 5) of the states `LATERAL`
-    after a reading.
-    """
+    """Design the lateral filter at a speed (m/s) for the noise of sensors and process in `loop`, SI. Returns the
+    stationary Kalman gain (5, 3), and the covariance (5, 5) of the states `LATERAL` after a reading."""
     rates = loop.filter
-    y = max(loop.lateral.noise / np.sqrt(2), _LEAST)
-    readings = np.diag([y**2, (2 * y / loop.lateral.base) ** 2, max(loop.gyro.noise, _LEAST) ** 2])
-    wander = np.diag([1e-12, 1e-12, rates.yaw_acceleration**2, rates.gyro_drift**2, rates.creep_rate**2])
-    return _stationary(*lateral_matrices(vehicle, speed), wander, readings)
+    y = max(loop.lateral.noise / np.sqrt(2), _LEAST_NOISE)
+    readings = np.diag([y**2, (2 * y / loop.lateral.base) ** 2, max(loop.gyro.noise, _LEAST_NOISE) ** 2])
+    process = np.diag([1e-12, 1e-12, rates.yaw_acceleration**2, rates.gyro_drift**2, rates.creep_rate**2])
+    return _stationary(*lateral_matrices(vehicle, speed), process, readings)
 
 
 @lru_cache(maxsize=16)
 def stationary_gains(vehicle: Vehicle, loop: Loop) -> FilterGains:
-    """`FilterGains` of one gear, for the noise and latencies of `loop` and the vehicle parameters that the filter
-    assumes."""
+    """Design the filters of a gear for the sensors in `loop`, with the parameters of `vehicle` in their models."""
     rates = loop.filter
     inertia, radius = vehicle.wheel.spin_inertia, vehicle.wheel.radius
     at_speeds = np.array([lateral_filter(vehicle, loop, speed)[0] for speed in SPEEDS])
     spin = np.array([[0.0, -radius / inertia], [0.0, 0.0]])
-    noise = max(loop.wheel_speed.noise, _LEAST) ** 2
+    noise = max(loop.wheel_speed.noise, _LEAST_NOISE) ** 2
     wheel, _ = _stationary(spin, np.array([[1.0, 0.0]]), np.diag([1e-8, rates.force_rate**2]), np.array([[noise]]))
-    lateral = unpack(LateralGains, np.moveaxis(at_speeds, 0, -1).ravel().tolist())
     return FilterGains(
-        lateral,
+        np.moveaxis(at_speeds, 0, -1).ravel().tolist(),
         wheel_w=float(wheel[0, 0]),
         wheel_force=float(wheel[1, 0]),
         prediction=loop.latency.measurement + loop.latency.command,
@@ -175,48 +150,40 @@ def stationary_gains(vehicle: Vehicle, loop: Loop) -> FilterGains:
 
 
 def observe(
-    readings: Signals,
-    commands: Sequence[list],
-    track: Any,
-    ticks,
-    sensor: SensorGains,
-    gain: Any,
-    memory: FilterState,
+    readings: Signals, commands: Sequence[list], track: Any, ticks, sensor: SensorGains, gain: Any, memory: FilterState
 ) -> tuple[Estimates, FilterState]:
-    """Correct the filter of a gear by the readings of this cycle, and predict to the time when a torque will act.
+    """Correct the filters of a gear by the readings of this cycle, and predict to the time when a torque acts.
+
+    Returns the `Estimates` at that time, and the corrected `FilterState` at the time of the readings. Numbers are SX.
 
     Args:
-        readings (Signals of SX): Delayed readings.
-        commands (two lists of SX): Torques sent to left and right wheel before this cycle (N m), newest first.
-        track (lateral.TrackInputs of SX): Track at the gear.
-        ticks (SX): Control cycles since the start. At 0 the filter takes its states from the readings.
-        sensor (SensorGains of SX): Run-time numbers of the sensors of this gear.
-        gain (law.SensedGains of SX): Of these `filter`, `model`, `drive` and `nominal_load` are used.
-        memory (FilterState of SX): States of the filter at the time of the readings, before the correction.
-
-    Returns:
-        tuple: `Estimates` of SX; `FilterState` of SX after the correction, at the time of the readings, for `advance`.
+        readings (Signals): Delayed readings.
+        commands (two lists): Torques sent to the left and the right wheel before this cycle (N m), newest first.
+        track (lateral.TrackInputs): Track at the gear.
+        ticks: Control cycles since the start. At 0 the states are set from the readings.
+        sensor, gain (SensorGains, law.SensedGains): Run-time numbers of the sensors and of the law.
+        memory (FilterState): States before the correction, at the time of the readings.
     """
     planes = readings.y_ahead, readings.y_behind
-    read = {"y": sum(planes) / 2, "psi": (planes[0] - planes[1]) / sensor.base, "r": readings.psidot_Ax}
+    read = sum(planes) / 2, (planes[0] - planes[1]) / sensor.base, readings.psidot_Ax
     le, ri = WheelState(0, readings.w_le, 0), WheelState(0, readings.w_ri, 0)
-    start = FilterState(read["y"], read["psi"], read["r"], 0, 0, le, ri, readings.v, 0)
+    start = FilterState(*read, 0, 0, le, ri, readings.v, 0)
     x = unpack(FilterState, (ca.if_else(ticks < 0.5, *pair) for pair in zip(pack(start), pack(memory), strict=True)))
     v = x.v + gain.filter.speed_pole * (readings.v - x.v)
-    innovation = {"y": read["y"] - x.y, "psi": read["psi"] - x.psi, "r": read["r"] - x.r - x.bias}
-    corrected = {
-        state: getattr(x, state)
-        + sum(_scheduled(getattr(getattr(gain.filter.lateral, state), name), v) * innovation[name] for name in _READ)
-        for state in LATERAL
-    }
-    for side, w in (("le", readings.w_le), ("ri", readings.w_ri)):
-        wheel: WheelState = getattr(x, side)
-        error = w - wheel.w
-        corrected[side] = replace(
-            wheel, w=wheel.w + gain.filter.wheel_w * error, force=wheel.force + gain.filter.wheel_force * error
-        )
+    innovation = read[0] - x.y, read[1] - x.psi, read[2] - x.r - x.bias
+    corrected = {}
+    for i, state in enumerate(LATERAL):
+        gains = [_scheduled(gain.filter.lateral, 3 * i + j, v) for j in range(3)]
+        corrected[state] = getattr(x, state) + sum(k * error for k, error in zip(gains, innovation, strict=True))
+
+    def corrected_wheel(wheel: WheelState, reading: Any) -> WheelState:
+        error = reading - wheel.w
+        w, force = wheel.w + gain.filter.wheel_w * error, wheel.force + gain.filter.wheel_force * error
+        return replace(wheel, w=w, force=force)
+
+    le, ri = corrected_wheel(x.le, readings.w_le), corrected_wheel(x.ri, readings.w_ri)
     creep = x.creep + gain.filter.creep_pole * (corrected["beta"] - x.creep)
-    x = replace(x, **corrected, v=v, creep=creep)
+    x = replace(x, **corrected, le=le, ri=ri, v=v, creep=creep)
 
     y, psi, r = _predicted(x, commands, track, sensor, gain)
     f = [wheel.force / gain.nominal_load for wheel in (x.le, x.ri)]
@@ -225,7 +192,7 @@ def observe(
 
 
 def advance(x: FilterState, commands: Sequence[list], track: Any, sensor: SensorGains, gain: Any) -> FilterState:
-    """`FilterState` of SX one control cycle after `x`, the second result of `observe`. The other arguments are as in
+    """Predict `x`, the corrected `FilterState` of `observe`, by one control cycle. The other arguments are as in
     `observe`, but `commands` include the torques of this cycle."""
     h, model = CONTROL_PERIOD, gain.model
 
@@ -245,17 +212,18 @@ def advance(x: FilterState, commands: Sequence[list], track: Any, sensor: Sensor
     )
 
 
-def _scheduled(at_speeds: list, v):
-    """Gain at a speed, linear between `SPEEDS` and constant beyond them."""
+def _scheduled(gains: list, index: int, v):
+    """Interpolate a gain of the lateral filter at a speed v (m/s): linear between `SPEEDS`, constant beyond them."""
+    at_speeds = gains[index * len(SPEEDS) : (index + 1) * len(SPEEDS)]
     value = at_speeds[0]
     for k, (low, high) in enumerate(pairwise(SPEEDS)):
-        share = ca.fmin(ca.fmax((v - low) / (high - low), 0), 1)
-        value += share * (at_speeds[k + 1] - at_speeds[k])
+        fraction = ca.fmin(ca.fmax((v - low) / (high - low), 0), 1)
+        value += fraction * (at_speeds[k + 1] - at_speeds[k])
     return value
 
 
 def _yaw_acceleration(x: FilterState, track: Any, gain: Any):
-    """Yaw acceleration under the creep forces of both wheels, springs, dampers and gyroscopic moment (rad/s2)."""
+    """Compute the yaw acceleration (rad/s2) due to creep forces, springs, dampers and the gyroscopic moment."""
     model = gain.model
     moment = model.b / 2 * (x.le.force - x.ri.force)
     moment -= model.k_sz * (track.psi_Tr + x.psi - track.psi_CB)
@@ -265,8 +233,8 @@ def _yaw_acceleration(x: FilterState, track: Any, gain: Any):
 
 
 def _predicted(x: FilterState, commands: Sequence[list], track: Any, sensor: SensorGains, gain: Any) -> tuple:
-    """Position, yaw and yaw rate when a torque of this cycle will arrive; torques under way act as on rolling
-    wheels."""
+    """Predict y, psi and r of `FilterState` to the time when a torque of this cycle acts. The torques that are still
+    under way change the yaw rate as if the wheels rolled without creep."""
     steps, model = 5, gain.model
     h = gain.filter.prediction / steps
     y, psi, r, v, yaw = x.y, x.psi, x.r, x.v, _yaw_acceleration(x, track, gain)

@@ -1,6 +1,8 @@
-"""Sensors of a running gear, read every ms: noise, bias, resolution and age of readings; latency of commands. Noise is
-counter-based: a function of seed, signal and millisecond, so it is the same on every executor and processor. The paper
-names lateral position and yaw difficult or costly to measure; its own loop measures them exactly."""
+"""Sensors of a running gear, read every ms: noise, bias, resolution and latency of readings; latency of commands.
+
+Noise is counter-based: a function of seed, signal and millisecond, so it is the same on every executor and processor.
+The paper calls lateral position and yaw difficult or costly to measure; its simulation measures them exactly.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,7 @@ from railrepro.quantities import Scalar, names, notes, unpack
 from railrepro.vehicle.parameters import Parameter, loaded
 
 LONGEST = 20
-"""Longest latency that the delay lines hold (control cycles)."""
+"""Longest latency (control cycles)."""
 _Line = Annotated[list[Scalar], range(LONGEST + 1)]
 
 
@@ -36,15 +38,14 @@ class Signals:
 
 
 SIGNALS = names(Signals)
-_GROUP = dict(
-    zip(SIGNALS, ("lateral", "lateral", "gyro", "wheel_speed", "wheel_speed", "speed", "position"), strict=True)
-)
+_SENSORS = ("lateral", "lateral", "gyro", "wheel_speed", "wheel_speed", "speed", "position")
+"""Field of `Loop` with the sensor of each of `SIGNALS`."""
 _SEEDS = 1_000_003
 
 
 @dataclass(frozen=True)
 class Quality:
-    """Errors of the sensor of one signal, in the unit of the signal and as in `Lateral`; the bias is drawn."""
+    """Errors of the sensor of one signal in one run: standard deviation, constant offset and step, in its unit."""
 
     noise: Scalar
     bias: Scalar
@@ -53,7 +54,7 @@ class Quality:
 
 @dataclass(frozen=True)
 class SensorGains:
-    """Run-time numbers of the sensors of a running gear. `quality_ranges` has the ranges of the signals' errors."""
+    """Run-time numbers of the sensors of a running gear."""
 
     y_ahead: Quality
     y_behind: Quality
@@ -72,7 +73,7 @@ class SensorGains:
 
 @dataclass(frozen=True)
 class SensorMemory:
-    """Delay lines of the readings, except p, and of torque commands (N m): `LONGEST` + 1 entries, newest first."""
+    """Delay lines of readings and torque commands (N m), newest first. The position p is read without delay."""
 
     y_ahead: _Line
     y_behind: _Line
@@ -84,23 +85,19 @@ class SensorMemory:
     tau_ri: _Line
 
 
-_MODULUS = 67108859.0
-"""Largest prime below 2^26: squares of smaller whole numbers are exact in double precision."""
-
-
 def _upto(high: float, unit: str) -> Parameter:
     return Parameter(0.0, high, unit, closed=True)
 
 
 @data.table
 class Lateral:
-    """Two sensors of the lateral displacement of the axle from the rails, in planes across the track.
+    """Two sensors of the lateral displacement of a gear from the rails, one ahead of the axle and one behind it.
 
     Attributes:
-        base (float): Distance of the two planes along the track (m).
+        base (float): Distance between the sensors along the track (m).
         noise (float): Standard deviation of a reading (m).
         bias (float): Largest constant offset (m). A run draws its offset uniformly from [-bias, bias].
-        resolution (float): Step to which a reading is rounded (m); 0: not rounded.
+        resolution (float): Step to which a reading is rounded (m); 0 for no rounding.
     """
 
     base: Annotated[float, Parameter(0.1, 5.0, "m")]
@@ -111,8 +108,8 @@ class Lateral:
 
 @data.table
 class Rate:
-    """Sensor of an angular velocity: the gyroscope for the yaw rate of a running gear, or the speed sensor of a wheel.
-    noise, bias, resolution are as in `Lateral` (rad/s). The noise is a standard deviation per reading, no density."""
+    """Sensor of an angular velocity: gyroscope of a running gear or speed sensor of a wheel. Fields as in `Lateral`
+    (rad/s): `noise` is a standard deviation per reading, no spectral density."""
 
     noise: Annotated[float, _upto(0.1, "rad/s")]
     bias: Annotated[float, _upto(0.1, "rad/s")]
@@ -121,7 +118,7 @@ class Rate:
 
 @data.table
 class Speed:
-    """Sensor of the speed along the track; noise, bias, resolution as in `Lateral` (m/s)."""
+    """Sensor of the speed along the track. Fields as in `Lateral` (m/s)."""
 
     noise: Annotated[float, _upto(1.0, "m/s")]
     bias: Annotated[float, _upto(1.0, "m/s")]
@@ -130,7 +127,7 @@ class Speed:
 
 @data.table
 class Position:
-    """Sensor of the track coordinate, without delay; noise, bias, resolution as in `Lateral` (m)."""
+    """Sensor of the track coordinate, without delay. Fields as in `Lateral` (m)."""
 
     noise: Annotated[float, _upto(1.0, "m")]
     bias: Annotated[float, _upto(20.0, "m")]
@@ -139,8 +136,8 @@ class Position:
 
 @data.table
 class Latency:
-    """Delays that controllers and filter know: `measurement`, age of all readings but the position (s); `command`, time
-    from the controller to the inverter (s)."""
+    """Delays that controllers and filter know: `measurement`, age of all readings except the position (s); `command`,
+    time from the controller to the inverter (s)."""
 
     measurement: Annotated[float, _upto(LONGEST * CONTROL_PERIOD, "s")]
     command: Annotated[float, _upto(LONGEST * CONTROL_PERIOD, "s")]
@@ -148,8 +145,8 @@ class Latency:
 
 @data.table
 class Inverter:
-    """Errors of the inverters that controllers and filter do not know. `delay` (s) is added to the known latency of
-    commands. `gain` is the torque over the commanded torque (-)."""
+    """Errors of the inverters, which controllers and filter do not know: `delay` (s), added to the latency of commands;
+    `gain`, ratio of torque to commanded torque (-)."""
 
     delay: Annotated[float, _upto(LONGEST * CONTROL_PERIOD, "s")]
     gain: Annotated[float, Parameter(0.0, 10.0, "-")]
@@ -157,14 +154,9 @@ class Inverter:
 
 @data.table
 class Filter:
-    """Numbers of the filter in `estimation.observers`: assumed noise (roots of spectral densities), low-pass filters.
-
-    Attributes:
-        force_rate (float): Noise in the derivative of the creep force of a wheel (N/s^0.5).
-        creep_rate (float): Noise in the derivative of the creep angle (rad/s^0.5).
-        yaw_acceleration, gyro_drift (float): Noise in the derivatives of yaw rate and gyro bias (rad/s^1.5).
-        creep_lag, speed_lag (float): Time constants for the estimated creep angle and for the read speed (s).
-    """
+    """Settings of the filter `estimation.observers`. The first four are process noise (roots of spectral densities) in
+    the derivatives of a wheel's creep force, creep angle, yaw rate and gyro bias. The lags are time constants of the
+    low-pass filters of creep angle and speed."""
 
     force_rate: Annotated[float, _upto(1e7, "N/s^0.5")]
     creep_rate: Annotated[float, _upto(1.0, "rad/s^0.5")]
@@ -176,8 +168,7 @@ class Filter:
 
 @data.table
 class Adhesion:
-    """Settings of the adhesion law in a run with sensors: filter_time (s), dead_zone (1/s), noise_speed (m/s). They
-    replace the defaults of the fields of the same names in `control.adhesion.AdhesionSettings`."""
+    """Settings of the adhesion law with sensors, in place of the defaults of `control.adhesion.AdhesionSettings`."""
 
     filter_time: Annotated[float, _upto(1.0, "s")]
     dead_zone: Annotated[float, _upto(10.0, "1/s")]
@@ -186,8 +177,7 @@ class Adhesion:
 
 @data.table
 class Loop:
-    """What lies between car and controllers: sensors, latencies, inverter errors, filter; made by `load_loop`. The
-    values are in data/sensors.toml."""
+    """All between car and controllers: sensors, latencies, errors of the inverters, filter; made by `load_loop`."""
 
     lateral: Lateral
     gyro: Rate
@@ -202,21 +192,17 @@ class Loop:
     def __post_init__(self) -> None:
         total = self.latency.measurement + self.latency.command + self.inverter.delay
         if total > LONGEST * CONTROL_PERIOD + 1e-9:
-            raise ValueError(f"latency of {1e3 * total:g} ms in all, at most {LONGEST} ms are held")
+            raise ValueError(f"latency of {1e3 * total:g} ms in all, at most {LONGEST} ms are allowed")
 
     def perfect(self) -> Loop:
-        """Copy with exact readings, without latency. Inverter errors stay. `adhesion` is set to the values for exact
-        readings: filter_time 5 ms, dead_zone 0.001/s, noise_speed 0."""
-        exact = dict.fromkeys(names(Quality), 0.0)
-        quiet = {sensor: replace(getattr(self, sensor), **exact) for sensor in _GROUP.values()}
-        return replace(self, **quiet, latency=Latency(0.0, 0.0), adhesion=Adhesion(5e-3, 1e-3, 0.0))
+        """Copy with exact readings, no latency, and an adhesion law for exact readings. Inverter errors stay."""
+        exact = {sensor: replace(getattr(self, sensor), noise=0.0, bias=0.0, resolution=0.0) for sensor in _SENSORS}
+        return replace(self, **exact, latency=Latency(0.0, 0.0), adhesion=Adhesion(5e-3, 1e-3, 0.0))
 
     def lateral_errors(self) -> tuple[np.ndarray, np.ndarray]:
-        """Pair: standard deviations of noise per sample, shape (3,), and of the uniform bias, shape (3,), of y, psi, r.
-
-        The displacement y (m) is the mean of what a gear measures in front and behind, the yaw angle psi (rad) their
-        difference over the distance `base`; r is the yaw rate (rad/s).
-        """
+        """Compute the standard deviations of noise and of the uniform bias, each of shape (3,), of readings y, psi, r.
+        The displacement y (m) is the mean of the two lateral sensors, the yaw angle psi (rad) their difference over
+        `base`; r is the yaw rate (rad/s)."""
         of_planes = np.array([1 / np.sqrt(2), np.sqrt(2) / self.lateral.base])
         noise = np.append(self.lateral.noise * of_planes, self.gyro.noise)
         bias = np.append(self.lateral.bias * of_planes, self.gyro.bias)
@@ -227,36 +213,30 @@ _RANGES = dict(notes(Loop))
 
 
 def quality_ranges() -> dict[str, data.Quantity]:
-    """Range of each error of a signal in `SensorGains`, as "y_ahead.noise": that of the field of `Loop`."""
-    errors = names(Quality)
+    """Return the range of each sensor error in `SensorGains` as a dict by its name, such as "y_ahead.noise"."""
     return {
-        f"{signal}.{name}": replace(_RANGES[f"{of}.{name}"], signed=name == "bias")
-        for signal, of in _GROUP.items()
-        for name in errors
+        f"{signal}.{error}": replace(_RANGES[f"{sensor}.{error}"], signed=error == "bias")
+        for signal, sensor in zip(SIGNALS, _SENSORS, strict=True)
+        for error in names(Quality)
     }
 
 
 def load_loop(path: Path | str | None = None, **overrides) -> Loop:
-    """Read and check the sensor data of a TOML file; default data/sensors.toml. InputError for a wrong key or value.
+    """Read and check the sensor data of a TOML file, by default data/sensors.toml. InputError for a wrong key or value.
     `overrides` replace values (SI) by dotted key, as in `load_loop(**{"gyro.noise": 0.002})`."""
     return loaded(Loop, data.location(path, paths.source("data/sensors.toml")), overrides)[0]
 
 
 def readings(perfect: bool = False, seed: int = 0, **overrides) -> Readings:
-    """`Readings` with the data of data/sensors.toml for the argument `sensors` of `simulate.run`. `perfect`: exact
-    readings without latency, see `Loop.perfect`. `seed` draws noise and biases. `overrides` are as in `load_loop`."""
+    """Make `Readings` with the data of data/sensors.toml, changed by `overrides` as in `load_loop`, for one `seed` of
+    noise and biases. With `perfect` the readings are exact, see `Loop.perfect`."""
     loop = load_loop(**overrides)
     return Readings(loop.perfect() if perfect else loop, seed)
 
 
 @dataclass(frozen=True)
 class Readings:
-    """Sensors of one run.
-
-    Attributes:
-        loop (Loop): Data of the sensors.
-        seed (int): Seed of noise and biases, at least 0.
-    """
+    """Sensors of one run: their data, and the seed of noise and biases (at least 0)."""
 
     loop: Loop
     seed: int = 0
@@ -266,10 +246,9 @@ class Readings:
         data.require("Readings: seed", self.seed, data.between(0, math.inf), whole=True)
 
     def gains(self, gear: int) -> SensorGains:
-        """`SensorGains` of a gear (0 front, 1 rear), with biases drawn from the seed."""
+        """Draw the biases of a gear (0 front, 1 rear) from the seed, and return its `SensorGains`."""
         draw, loop, entries = np.random.default_rng((self.seed, gear)), self.loop, []
-        for of_signal in _GROUP.values():
-            sensor = getattr(loop, of_signal)
+        for sensor in (getattr(loop, name) for name in _SENSORS):
             entries += [sensor.noise, sensor.bias * draw.uniform(-1.0, 1.0), sensor.resolution]
         delays = loop.latency.measurement, loop.latency.command, loop.inverter.delay
         entries += [delay / CONTROL_PERIOD for delay in delays]
@@ -277,17 +256,15 @@ class Readings:
 
 
 def sense(truth: Signals, ticks, gear: int, gain: SensorGains, memory: SensorMemory) -> tuple[Signals, dict[str, list]]:
-    """Readings of one running gear in this control cycle.
+    """Read the sensors of a gear (0 front, 1 rear) in this control cycle. All numbers are of type SX.
+
+    Returns the readings that reach the controller, and a dict of the next delay lines by signal, without "p".
 
     Args:
-        truth (Signals of SX): Exact values.
-        ticks (SX): Control cycles since the start. At 0 the delay lines are filled with the first reading.
-        gear (int): 0 front, 1 rear.
-        gain (SensorGains of SX): Run-time numbers of the sensors.
-        memory (SensorMemory of SX): Delay lines after the previous cycle.
-
-    Returns:
-        tuple: `Signals` as they reach the controller; dict from signal to its next delay line, without the signal "p".
+        truth (Signals): Exact values.
+        ticks: Control cycles since the start. At 0 the delay lines are filled with the first reading.
+        gain (SensorGains): Run-time numbers of the sensors.
+        memory (SensorMemory): Delay lines after the previous cycle.
     """
     readings, lines = {}, {}
     for i, signal in enumerate(SIGNALS):
@@ -306,38 +283,30 @@ def sense(truth: Signals, ticks, gear: int, gain: SensorGains, memory: SensorMem
 
 
 def delayed(line: list, cycles):
-    """Value `cycles` (number or SX) control cycles ago, with linear interpolation. `line` has one entry per cycle,
-    newest first."""
+    """Interpolate a delay line (newest first) to its value `cycles` control cycles ago. Numbers or SX."""
     return sum(ca.fmax(0, 1 - ca.fabs(cycles - k)) * value for k, value in enumerate(line))
 
 
 def received_torque(line: list, gain: SensorGains):
-    """Torque command that reaches a motor in this cycle (N m), after latency, unknown delay and gain error. `line`
-    holds the commands, newest first; `gain` is the `SensorGains` of the gear."""
+    """Compute the torque of a motor in this cycle (N m) from the delay line of its commands (newest first)."""
     return gain.torque_gain * delayed(line, gain.command + gain.unknown_delay)
 
 
 def gaussian(seed, channel: int, ticks):
-    """Pseudorandom number with zero mean and unit variance, nearly normal: a scaled sum of four uniform numbers.
-
-    It follows from `seed`, `channel` (number of the noise source) and `ticks` (control cycle), bit for bit.
-    """
+    """Draw a nearly normal pseudorandom number, zero mean and unit variance: a scaled sum of four uniform numbers. It
+    is a hash of `seed`, `channel` (number of the noise source) and `ticks` (control cycle). The hash computes with
+    whole numbers below 2^52, which are exact, so its bits are the same everywhere."""
     total = 0.0
     for k in range(2):
-        x = _hashed(seed, 2 * channel + k, ticks)
+        x = _modulo(15485863.0 * ticks + 104729.0 * seed + 32452843.0 * (2 * channel + k) + 49979687.0)
+        for constant in (7919.0, 611953.0, 1299709.0):
+            x = _modulo(x * x + constant)
         high = ca.floor(x / 8192.0)
         total += (x - 8192.0 * high) / 8192.0 + high / 8192.0 - 1.0
     return np.sqrt(3.0) * total
 
 
-def _hashed(seed, channel: int, ticks):
-    """Whole number below `_MODULUS` from hashed counters; whole numbers below 2^52 and exact operations."""
-    x = _modulo(15485863.0 * ticks + 104729.0 * seed + 32452843.0 * channel + 49979687.0)
-    for constant in (7919.0, 611953.0, 1299709.0):
-        x = _modulo(x * x + constant)
-    return x
-
-
 def _modulo(x):
-    """Remainder of whole numbers; a quotient that is one off gives another whole number, the same everywhere."""
-    return x - _MODULUS * ca.floor(x * (1 / _MODULUS))
+    """Reduce a whole number modulo the largest prime below 2^26. Where the rounded quotient is one off, the result is
+    another whole number, the same everywhere."""
+    return x - 67108859.0 * ca.floor(x * (1 / 67108859.0))

@@ -1,6 +1,5 @@
-"""One driven wheel on a bare adhesion characteristic under the adhesion law: many cases at once. The smallest system on
-which the law can be watched: wheel spin, speed of a quarter of the car, Polach's creep law, 1 kHz law. Serves the
-paper's Fig. 5 and section Adhesion Control."""
+"""One driven wheel under the 1 kHz adhesion law, with Polach's creep law and a quarter of the car as its mass. Serves
+the paper's Fig. 5 and section Adhesion Control."""
 
 from __future__ import annotations
 
@@ -21,12 +20,12 @@ from railrepro.quantities import Scalar, indices, names, pack, symbols
 from railrepro.vehicle.parameters import AdhesionSet, Vehicle
 
 _SUBSTEPS, _LIMIT = 20, 1e5
-"""Integration steps per cycle, and torque limit (N m), more than adhesion can transmit."""
+"""Integration steps per control cycle; torque limit (N m), more than adhesion can transmit."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One simulated wheel: `law`, the settings of its adhesion law, and `adhesion`, the friction of its rail."""
+    """One simulated wheel: settings of its adhesion law, and adhesion set of its rail."""
 
     law: AdhesionSettings
     adhesion: AdhesionSet
@@ -34,7 +33,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Traces:
-    """Time series of single wheels: arrays with one row per ms and one column per wheel."""
+    """Time series of single wheels: arrays of shape (ms, wheels)."""
 
     adhesion: Annotated[Scalar, "-", "f_x, longitudinal force over wheel load, traction-positive"]
     slip: Annotated[Scalar, "-", "s_x = (v - w r)/v"]
@@ -45,22 +44,21 @@ class Traces:
 
 @dataclass(frozen=True)
 class _State:
-    """State of one case."""
+    """State of one wheel."""
 
-    w: Annotated[Scalar, "rad/s", "angular speed of the wheel"]
+    w: Annotated[Scalar, "rad/s", "angular speed"]
     v: Annotated[Scalar, "m/s", "running speed"]
     u: Annotated[Scalar, "N m", "motor torque"]
     law: AdhesionMemory
 
 
 def _cycle(vehicle: Vehicle) -> ca.Function:
-    """One control cycle of one case: (state, demand, numbers of `Case`) -> state, entries of `Traces`."""
+    """Build one control cycle of one wheel: (state, set point of f_x, numbers of `Case`) -> state, `Traces`."""
     (state, x), (case_, case) = symbols(_State, "state"), symbols(Case, "case")
     a, b, kalker = middle_patch(vehicle)
     radius, load, creep = vehicle.wheel.radius, vehicle.wheel_load, case.adhesion
 
-    def grip(w: Any, v: Any) -> tuple[Any, Any]:
-        """Adhesion and slip of a wheel that turns with w (rad/s) at speed v (m/s)."""
+    def adhesion_and_slip(w: Any, v: Any) -> tuple[Any, Any]:
         slip = (v - w * radius) / ca.fmax(v, SLIP_FLOOR)
         friction = creep.k_a, creep.k_s, creep.mu0, creep.a_ratio, creep.b_decay
         law = a, b, *kalker, vehicle.contact.shear_modulus, *friction, ca.fabs(v - w * radius)
@@ -68,36 +66,32 @@ def _cycle(vehicle: Vehicle) -> ca.Function:
         return force / load, slip
 
     f_star = ca.SX.sym("f_star")
-    f_now, s_now = grip(x.w, x.v)
+    f_now, s_now = adhesion_and_slip(x.w, x.v)
     q = AdhesionInputs([f_now] * 2, [s_now] * 2, f_star, x.v, x.u, load, _LIMIT, radius)
     u, law, segment = case.law.base_torque(q, x.law)
 
     w_, v_, u_ = ca.SX.sym("w"), ca.SX.sym("v"), ca.SX.sym("u")
-    f_, _ = grip(w_, v_)
-    spin_up = (u_ - radius * load * f_) / vehicle.wheel.spin_inertia
-    rate = ca.Function("rate", [w_, v_, u_, case_], [spin_up, ca.jacobian(spin_up, w_), f_])
+    f_, _ = adhesion_and_slip(w_, v_)
+    acceleration = (u_ - radius * load * f_) / vehicle.wheel.spin_inertia
+    rate = ca.Function("rate", [w_, v_, u_, case_], [acceleration, ca.jacobian(acceleration, w_), f_])
     w, v, h = x.w, x.v, CONTROL_PERIOD / _SUBSTEPS
     for _ in range(_SUBSTEPS):
-        faster, stiffness, f = rate(w, v, u, case_)
-        w, v = w + h * faster / (1 - h * stiffness), v + h * vehicle.gravity * f
+        w_dot, stiffness, f = rate(w, v, u, case_)
+        w, v = w + h * w_dot / (1 - h * stiffness), v + h * vehicle.gravity * f
     outputs = ca.vertcat(*pack(_State(w, v, u, law))), ca.vertcat(f_now, s_now, u, x.v, segment)
     return ca.Function("bare_wheel", [state, f_star, case_], outputs, {"cse": True})
 
 
 def simulate(vehicle: Vehicle, cases: Sequence[Case], speed, demand) -> Traces:
-    """Simulate single driven wheels under the 1 kHz adhesion law; returns their `Traces`.
-
-    Each wheel starts rolling freely with zero torque, carries the nominal wheel load Q, and accelerates the mass Q/g.
+    """Simulate single driven wheels under the 1 kHz adhesion law. They start rolling freely, with zero torque.
 
     Args:
-        vehicle (Vehicle): Source of wheel, load and contact patch.
+        vehicle (Vehicle): Source of wheel, load and contact patch. A wheel with the load Q accelerates the mass Q/g.
         cases (sequence of Case): Adhesion law and rail of each wheel.
         speed (float or array_like, shape (wheels,)): Initial running speeds (m/s).
-        demand (array_like, shape (time,) or (time, wheels)): Set point of the adhesion f_x, traction-positive, one row
-            per ms (-).
+        demand (array_like, shape (ms,) or (ms, wheels)): Set point of the adhesion f_x (-), traction-positive.
     """
-    demand = np.asarray(demand, dtype=float)
-    demand = np.ascontiguousarray(np.broadcast_to(demand.reshape(len(demand), -1), (len(demand), len(cases))))
+    demand = np.asarray(demand, dtype=float).reshape(len(demand), -1)
     call = codegen.CompiledFunction(_cycle(vehicle).map("bare_wheels", "serial", len(cases), [], []))
     state, f_star, numbers = call.arguments
     numbers[:] = np.array([pack(case) for case in cases], dtype=float).ravel()
@@ -106,8 +100,8 @@ def simulate(vehicle: Vehicle, cases: Sequence[Case], speed, demand) -> Traces:
     start[:, index.w] = start[:, index.v] / vehicle.wheel.radius
     state[:] = start.ravel()
     log = np.empty((len(demand), len(cases), len(names(Traces))))
-    for k, asked in enumerate(demand):
-        f_star[:] = asked
+    for k, set_point in enumerate(demand):
+        f_star[:] = set_point
         state[:], outputs = call()
         log[k] = outputs.reshape(len(cases), -1)
     return Traces(*np.moveaxis(log, 2, 0))

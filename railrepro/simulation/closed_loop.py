@@ -1,5 +1,4 @@
-"""Car and control law coupled at 1 kHz: one call runs many control cycles. The loop of `loop.c` runs over the compiled
-car and the control cycle of `railrepro.control.cycle`."""
+"""Car and control law coupled at 1 kHz: `loop.c` runs the compiled car and `railrepro.control.cycle` in C."""
 
 from __future__ import annotations
 
@@ -23,20 +22,18 @@ from railrepro.data import between, require
 from railrepro.quantities import names
 
 _BLOCK = 10_000
-"""Most control cycles in one call of C, whose log is allocated at once."""
-_PAUSE = 0.1
-"""Time (s) after which calls of C get shorter: between them Python sees Ctrl-C."""
+"""Most control cycles in one call of C."""
+_LONGEST_CALL = 0.1
+"""Duration of a call of C (s) above which the next ones get shorter: Python sees Ctrl-C between them."""
 _SOURCE = Path(__file__).with_name("loop.c").read_text(encoding="utf-8")
-_MEASURED = [names(Outputs).index(name) for name in interface.MEASURED]
-"""Outputs of the car that the law measures."""
 
 
 @lru_cache
 def library(signature: law.LawSignature) -> tuple[ctypes.CDLL, Any]:
-    """Compile `loop.c` with the 1 kHz law of this signature; returns the shared object and the ctypes class of its
-    `loop_t`."""
+    """Compile `loop.c` with the 1 kHz law of this signature. Returns shared object and ctypes class of its `loop_t`."""
+    measured = ", ".join(str(names(Outputs).index(name)) for name in interface.MEASURED)
     text = codegen.PREAMBLE + cycle.c_text(signature, len(names(signature.Gains)))
-    text += codegen.defines({"MEASURED_OF_OUTPUT": "{" + ", ".join(map(str, _MEASURED)) + "}"})
+    text += codegen.defines({"MEASURED_OF_OUTPUT": "{" + measured + "}"})
     loaded = codegen.library((law.function(signature),), text + _SOURCE)
     loaded.loop_run.restype = ctypes.c_longlong
     _, controller = cycle.structures(signature)
@@ -44,17 +41,16 @@ def library(signature: law.LawSignature) -> tuple[ctypes.CDLL, Any]:
 
 
 class ClosedLoop:
-    """The car on a route under a control law. `run` advances both by whole control cycles of 1 ms.
+    """The car on a route under a control law, simulated in control cycles of 1 ms.
 
     Attributes:
         car (SteppedCar): The simulated car on its route.
         control (ControlLaw): The 1 kHz law of both gears, from `railrepro.control.law.control_law`.
         ended (bool): Whether the last `run` reached a limit.
-        state (ndarray, shape (len(car.model.states),)): State of the car (SI), the array `car.state`.
-        held (ndarray, shape (2,)): Last differential torques of slower controllers, front and rear gear (N m);
-            writable as the arrays of a `SteppedCar`.
+        state (ndarray): State of the car (SI), the array `car.state`.
+        held (ndarray, shape (2,)): Last torques of slower controllers, front and rear gear (N m); writable.
         memory (ndarray): States of the law (SI), in the order of the names `control.signature.memory`; writable.
-        columns (tuple of str): Columns that `run` returns: outputs of the car, then what the law logs.
+        columns (tuple of str): Columns that `run` returns: outputs of the car, then the records of the law.
     """
 
     held = codegen.in_c("held")
@@ -80,11 +76,8 @@ class ClosedLoop:
         parameters[:] = codegen.for_c("control: gains", control.gains, parameters.shape)
 
     def run(self, n: int) -> np.ndarray:
-        """Advance by n control cycles of 1 ms, or fewer when a limit is reached (see `margins`).
-
-        Returns an array with one row per cycle and the columns `columns` (SI), taken before the car advances. When a
-        limit is reached, `ended` is True, and the last row and `state` are at the limit.
-        """
+        """Advance by n control cycles of 1 ms, or until a limit is reached, where the last row then is (see `margins`).
+        Returns an array with a row per cycle, taken before the car advances, and the columns `columns` (SI)."""
         require("n", n, between(0, math.inf), whole=True)
         self.car.c.period = CONTROL_PERIOD / self.car.c.substeps  # `SteppedCar.step` may have had another one
         blocks, block = [np.empty((0, len(self.columns)))], 1
@@ -97,17 +90,14 @@ class ClosedLoop:
             if self.ended:
                 break
             n -= len(rows)
-            quick = time.perf_counter() - begin < _PAUSE
+            quick = time.perf_counter() - begin < _LONGEST_CALL
             block = min(2 * block, _BLOCK) if quick else max(block // 2, 1)
         return np.concatenate(blocks)
 
     def connect(self, planners: Sequence[tuple[int, int]], every: int) -> None:
-        """Register a slower controller for each gear, which `run` calls before the law every `every` cycles of 1 ms.
-
-        `planners` holds a pair for the front and one for the rear gear: addresses (int) of a C function of type
-        `railrepro.control.cycle.SAMPLE` and of its memory. With sensors this function gets the estimated states of the
-        previous cycle.
-        """
+        """Register slower controllers of the front and the rear gear, which `run` calls each `every` control cycles.
+        `planners` holds for each the addresses of a C function of the type `railrepro.control.cycle.SAMPLE` and of its
+        memory. It is called before the law acts: with sensors it gets the estimated states of the previous cycle."""
         slot, _ = cycle.structures(self.control.signature)
         self._c.every = every
         for g, planner in enumerate(planners):
@@ -115,6 +105,5 @@ class ClosedLoop:
 
     @property
     def margins(self) -> dict[str, float]:
-        """Distances to the limits of a run as a dict, keys as in `interface.Margins`. The run ends when one is not
-        positive."""
+        """Distances to the limits by names of `interface.Margins`. A run ends when one is not positive."""
         return dict(zip(interface.MARGINS, self._arrays["margins"].tolist(), strict=True))

@@ -16,19 +16,14 @@ from railrepro.simulation import metrics
 
 
 class Panel(NamedTuple):
-    """Quantities of one running gear that a panel shows, by their names in `metrics.column`.
-
-    Attributes:
-        label (str): Label of the ordinate.
-        columns (tuple of str): Drawn quantities, that of the right wheel first.
-        factor (float): Factor from SI units to the unit of the label.
-        reference (str): Set point; "" for none.
-    """
+    """Quantities of one running gear in a panel, by their names in `metrics.column`; the right wheel comes first."""
 
     label: str
     columns: tuple[str, ...]
     factor: float
+    """Factor from SI units to the unit of the label."""
     reference: str = ""
+    """Set point; "" for none."""
 
 
 PANELS = {
@@ -43,24 +38,20 @@ PANELS = {
     "slip": Panel("slip (‰)", ("ri.sx", "le.sx"), -1e3),
     "speed": Panel("speed (km/h)", ("v",), 3.6),
 }
-"""Panels by name."""
 
 
 def chosen(names: Sequence[str]) -> list[Panel]:
-    """Panels of `PANELS` by name; InputError for an unknown one, or for none."""
-    for name in names:
-        if name not in PANELS:
-            raise InputError(f"panel {name!r} is not known; there are {list(PANELS)}")
-    if not names:
-        raise InputError(f"no panel is named; there are {list(PANELS)}")
+    """Look up panels in `PANELS` by name. InputError for an unknown name, or for none."""
+    unknown = [name for name in names if name not in PANELS]
+    if unknown or not names:
+        fault = f"panel {unknown[0]!r} is not known" if unknown else "no panel is named"
+        raise InputError(f"{fault}; there are {list(PANELS)}")
     return [PANELS[name] for name in names]
 
 
 def draw(axes: Sequence[Axes], panels: Sequence[Panel], series: pd.DataFrame, look: Mapping, gear: str) -> None:
-    """Draw a run over the track coordinate (m) into `axes`, one for each of `panels`; the left wheel is paler.
-
-    `series` is a table of `metrics.gear_series` for this `gear`, `look` has keyword arguments of `Axes.plot`.
-    """
+    """Draw a run over the track coordinate (m), each of `panels` into one of `axes`; the left wheel is paler. `series`
+    is a table of `metrics.gear_series` for this `gear`; `look` has keyword arguments of `Axes.plot`."""
     p = series[metrics.column(gear, "p")]
     for axis, (_, (first, *second), factor, _) in zip(axes, panels, strict=True):
         for column in second:
@@ -69,7 +60,7 @@ def draw(axes: Sequence[Axes], panels: Sequence[Panel], series: pd.DataFrame, lo
 
 
 def draw_set_points(axes: Sequence[Axes], panels: Sequence[Panel], series: pd.DataFrame, gear: str) -> None:
-    """Draw the set points that `panels` have, of a run as in `draw`."""
+    """Draw the set points of a run; the arguments are as in `draw`."""
     for axis, panel in zip(axes, panels, strict=True):
         if panel.reference:
             y = panel.factor * series[metrics.column(gear, panel.reference)]
@@ -77,7 +68,7 @@ def draw_set_points(axes: Sequence[Axes], panels: Sequence[Panel], series: pd.Da
 
 
 def name_axes(figure: Figure, axes: np.ndarray, panels: Sequence[Panel]) -> None:
-    """Label `axes`, an array whose first rows show `panels`, and give the figure the legend of the first of them."""
+    """Label the array `axes` (rows, columns), whose first rows show `panels`, and give the figure a legend."""
     for row, panel in zip(axes, panels, strict=False):
         row[0].set_ylabel(panel.label)
     for axis in axes[len(panels) - 1]:
@@ -86,7 +77,7 @@ def name_axes(figure: Figure, axes: np.ndarray, panels: Sequence[Panel]) -> None
 
 
 def figure_of(series: pd.DataFrame, names: Sequence[str], gear: str) -> Figure:
-    """Figure of one run with a row per panel; `series` is `simulate.Run.series`."""
+    """Draw `simulate.Run.series` in a new figure with a row per panel."""
     panels, rows = chosen(names), metrics.gear_series(series, gear)
     figure, axes = figures.new_figure(len(panels), sharex=True, squeeze=False)
     draw(axes[:, 0], panels, rows, {"color": figures.BLUE, "label": f"{gear} running gear"}, gear)

@@ -1,4 +1,4 @@
-"""The multi-rate co-simulation: the car and the control law at 1 kHz, slower lateral controllers at their own period.
+"""Multi-rate co-simulation: the car and the control law at 1 kHz, slower lateral controllers at their own period.
 Serves the paper's Fig. 4 and section Simulation Environment."""
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ import math
 import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -20,11 +20,10 @@ from railrepro.car.component import DERAILED, SteppedCar
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.control import cycle, interface, lateral, law
 from railrepro.control.adhesion import AdhesionSettings
-from railrepro.control.law import GEARS
 from railrepro.data import InputError, is_number, require
 from railrepro.estimation.sensors import Loop, Readings
 from railrepro.model.control_model import STATES, X
-from railrepro.quantities import names
+from railrepro.quantities import GEARS, names
 from railrepro.simulation.closed_loop import ClosedLoop
 from railrepro.simulation.metrics import FLANGE_ANGLE, FLANGEWAY, Part
 from railrepro.simulation.scenarios import Scenario
@@ -43,9 +42,9 @@ class Run:
         series (DataFrame): One row per ms: t_s (s), then `ClosedLoop.columns` (SI), such as `front.y` and `front_le.N`.
         ended (str): Why the run ended, in one sentence.
         failed (bool): Whether it ended by derailment or by a number that is not finite.
-        warnings (tuple of str): Sentences on where the run first left the range in which a model is valid.
-        controllers (tuple): Lateral controllers of both gears with a sampling time of their own, as MPC; () for a 1 kHz
-            law. The attribute `fallbacks` of an MPC counts samples without solution.
+        warnings (tuple of str): Sentences that say where the run first left the range in which a model is valid.
+        controllers (tuple): Slower lateral controllers of both gears, such as MPC, whose attribute `fallbacks` counts
+            samples without solution; () for a 1 kHz law.
         memory (dict): Name in `law.LawSignature.memory` -> state of the control law at the end (SI).
     """
 
@@ -57,26 +56,17 @@ class Run:
     memory: dict[str, float] = field(default_factory=dict, repr=False)
 
     def plot(self, *panels: str, gear: str = "front") -> Figure:
-        """Figure of the run over the track coordinate (m), set points dotted; it is not saved.
-
+        """Draw the run over the track coordinate (m) in a new figure, set points dotted. Needs the package matplotlib.
         `panels` are keys of `railrepro.simulation.plot.PANELS`, one per row: "y", "error", "du", "torques", "adhesion",
-        "slip", "speed", …; `gear` is "front" or "rear". Needs the package matplotlib.
-        """
+        "slip", "speed", …; `gear` is "front" or "rear"."""
         from railrepro.simulation import plot  # a run needs no Matplotlib
 
         return plot.figure_of(self.series, panels or ("y", "error"), gear)
 
     def __getstate__(self) -> dict:
-        """State to pickle: of each slower controller, which may hold compiled code, a `PastController` is kept."""
-        past = tuple(PastController(type(one).__name__, getattr(one, "fallbacks", 0)) for one in self.controllers)
-        return vars(self) | {"controllers": past}
-
-
-class PastController(NamedTuple):
-    """What a pickled `Run` keeps of a slower lateral controller: its class by name, and samples without solution."""
-
-    name: str
-    fallbacks: int
+        """Replace slower controllers, which may hold compiled code, by their class name and `fallbacks` in a pickle."""
+        past = [{"name": type(one).__name__, "fallbacks": getattr(one, "fallbacks", 0)} for one in self.controllers]
+        return vars(self) | {"controllers": tuple(SimpleNamespace(**one) for one in past)}
 
 
 def run(
@@ -99,13 +89,13 @@ def run(
         scenario (Scenario): Track, speed, rails, force demand and set point.
         guidance (LateralLaw or callable): Lateral control: a 1 kHz law such as `NDI()`, or a factory (vehicle, route,
             gear) of slower controllers, such as `NMPC`.
-        vehicle (Vehicle, optional): Vehicle parameters that the controllers assume; default data/vehicle.toml.
-        plant_vehicle (Vehicle, optional): Parameters of the simulated car; default `vehicle`.
-        adhesion (AdhesionSettings, optional): Settings of the adhesion law; default as in `law.control_law`.
+        vehicle (Vehicle): Parameters that the controllers assume of the car; default data/vehicle.toml.
+        plant_vehicle (Vehicle): Parameters of the simulated car; default `vehicle`.
+        adhesion (AdhesionSettings): Settings of the adhesion law; default as in `law.control_law`.
         fixed_share (float): Share of the torque limit reserved for the differential torque (-), see `allocate`.
-        sensors (Readings, optional): Sensors between car and controllers; default exact measurements.
-        irregularities, line (optional): Irregular rails, planned set point; see `track.route.lay`; default none.
-        route (Route, optional): Route laid before; default `scenario.route(irregularities, line)`.
+        sensors (Readings): Sensors between car and controllers; default exact measurements.
+        irregularities, line: Irregular rails and planned set point as in `track.route.lay`; default none.
+        route (Route): Route of the run; default `scenario.route(irregularities, line)`.
         substeps (int): Integration steps of the car per millisecond, see `SteppedCar`.
 
     Raises:
@@ -122,17 +112,15 @@ def run(
     lateral_law, factory = lateral.split(guidance)
     component.compile_ahead()
     controllers = lateral.controllers(factory, vehicle, route) if factory else ()
-    loop = start(
-        scenario, lateral_law, route, vehicle, body, substeps,
-        adhesion=adhesion, fixed_share=fixed_share, sensors=sensors,
-    )  # fmt: skip
+    settings = {"adhesion": adhesion, "fixed_share": fixed_share, "sensors": sensors, "substeps": substeps}
+    loop = start(scenario, lateral_law, route, vehicle, body, **settings)
     longest = int(max(10.0, 10 * route.length / scenario.speed) / CONTROL_PERIOD)  # at a tenth of the speed
     log = _drive(loop, controllers, longest, sensors.loop if sensors else None)
     finite = np.isfinite(log).all()
     if not finite:  # the run ends at such a row, which `ended` names
         log = log[: np.argmin(np.isfinite(log).all(axis=1)) + 1]
     log = np.column_stack([np.arange(len(log)) * CONTROL_PERIOD, log])
-    series = pd.DataFrame(log, columns=_index(loop.columns), copy=False)
+    series = pd.DataFrame(log, columns=("t_s", *loop.columns), copy=False)
     ended, failed = _reason(loop, dict(zip(series, log[-1].tolist(), strict=True)))
     series = series if finite else series[:-1]
     memory = dict(zip(loop.control.signature.memory, loop.memory.tolist(), strict=True))
@@ -140,36 +128,29 @@ def run(
 
 
 def start(
-    scenario: Scenario, guidance: lateral.LateralLaw, route: Route, vehicle: Vehicle, body: Vehicle,
-    substeps: int = 1, **settings: Any,
-) -> ClosedLoop:  # fmt: skip
-    """`ClosedLoop` of car and 1 kHz law at the start of a scenario, in vertical equilibrium at its initial speed.
-
-    Args:
-        scenario (Scenario): Initial speed, adhesion sets, stop speed.
-        guidance (LateralLaw): The 1 kHz lateral law.
-        route (Route): Route from `Scenario.route`.
-        vehicle, body (Vehicle): Parameters that the controllers assume; parameters of the simulated car.
-        substeps (int): See `SteppedCar`.
-        settings: `adhesion`, `fixed_share` and `sensors` of `run`.
-    """
+    scenario: Scenario, guidance: lateral.LateralLaw, route: Route, vehicle: Vehicle, plant_vehicle: Vehicle, **settings
+) -> ClosedLoop:
+    """Couple car and 1 kHz law for a scenario. The car starts in vertical equilibrium at the initial speed. The
+    arguments are as in `run`; `settings` are its `adhesion`, `fixed_share`, `sensors` and `substeps`."""
+    substeps = settings.pop("substeps", 1)
     settings |= {"lateral_limit": DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
     control = law.control_law(vehicle, guidance, **settings)
-    car = SteppedCar(route, scenario.speed, body, scenario.good, scenario.poor, substeps=substeps)
+    car = SteppedCar(route, scenario.speed, plant_vehicle, scenario.good, scenario.poor, substeps=substeps)
     return ClosedLoop(car, control)
 
 
 def _drive(loop: ClosedLoop, controllers: tuple, longest: int, sensors: Loop | None) -> np.ndarray:
-    """Run to the end, with plans of slower controllers at their period; rows of the log, shape (n, columns)."""
+    """Run to the end, with slower controllers at their period. Returns the log, shape (n, columns)."""
     if not controllers:
         return loop.run(longest)
-    front, rear = controllers
     faults: list[BaseException] = []
-    compiled = [_compiled(front, sensors), _compiled(rear, sensors, front)]
     samples = [cycle.SAMPLE(_sample(*of_gear, sensors, faults)) for of_gear in zip(controllers, GEARS, strict=True)]
-    python = [(ctypes.cast(sample, ctypes.c_void_p).value or 0, 0) for sample in samples]
-    every = round(front.period / CONTROL_PERIOD)
-    loop.connect([fast or slow for fast, slow in zip(compiled, python, strict=True)], every)
+    planners = []
+    for g, controller in enumerate(controllers):
+        python = ctypes.cast(samples[g], ctypes.c_void_p).value or 0, 0
+        planners.append(_compiled(controller, sensors, *controllers[:g]) or python)
+    every = round(controllers[0].period / CONTROL_PERIOD)
+    loop.connect(planners, every)
     log = loop.run(longest + -longest % every)  # whole samples
     if faults:
         raise faults[0]
@@ -177,17 +158,17 @@ def _drive(loop: ClosedLoop, controllers: tuple, longest: int, sensors: Loop | N
 
 
 def _compiled(controller: Any, *arguments: Any) -> tuple[int, int] | None:
-    """Addresses of the C of a slower controller, see `lateral.SlowController`; None if it is to be called by `plan`."""
-    found = controller.compiled(*arguments) if hasattr(controller, "compiled") else None
-    pair = isinstance(found, tuple) and [type(one) for one in found] == [int, int] and found[0] > 0
-    if not pair and not (found is None and hasattr(controller, "plan")):
+    """Get the addresses of a slower controller in C, see `lateral.SlowController`; None if `plan` is to be called."""
+    given = controller.compiled(*arguments) if hasattr(controller, "compiled") else None
+    pair = isinstance(given, tuple) and [type(one) for one in given] == [int, int] and given[0] > 0
+    if not pair and not (given is None and hasattr(controller, "plan")):
         needed = "a pair of addresses is needed, or None and a method plan"
-        raise InputError(f"lateral controller {type(controller).__name__}: compiled() gave {found!r}, {needed}")
-    return found
+        raise InputError(f"lateral controller {type(controller).__name__}: compiled() gave {given!r}, {needed}")
+    return given
 
 
 def _sample(controller: lateral.SlowController, gear: str, sensors: Loop | None, faults: list) -> Callable:
-    """A sample of a controller written in Python, for the loop; what it raises is kept and ends the run."""
+    """Make the function that samples a controller written in Python. An exception goes to `faults` and ends the run."""
     delay = sum(vars(sensors.latency).values()) + CONTROL_PERIOD if sensors else 0.0
     samples, n_readings = itertools.count(), len(names(interface.ReadGear))
 
@@ -205,40 +186,34 @@ def _sample(controller: lateral.SlowController, gear: str, sensors: Loop | None,
                     f"{count * controller.period:.3f} s, p = {x_hat[X]:.1f} m; a finite number (N m) is needed"
                 )
             return float(torque)
-        except BaseException as fault:  # which C does not pass on
+        except BaseException as fault:  # C does not pass it on
             faults.append(fault)
             return math.nan
 
     return sample
 
 
-@lru_cache
-def _index(columns: tuple[str, ...]) -> pd.Index:
-    """Columns of a series; pandas takes its time for one of text."""
-    return pd.Index(("t_s", *columns))
-
-
 def _reason(loop: ClosedLoop, last: dict[str, float]) -> tuple[str, bool]:
-    """Why a run ended with this row, and whether that is a failure."""
+    """Say why a run ended with this last row, and whether that is a failure."""
     at = f"at t = {last['t_s']:.3f} s, p = {last['front.p']:.1f} m"
     broken = [name for name, value in last.items() if not math.isfinite(value)]
     if broken:
         return f"{broken[0]} is not a finite number {at}", True
     passed = next((name for name, margin in loop.margins.items() if margin <= 0), "")
-    if passed.endswith(".torque"):
-        return f"the lateral law of the {passed.removesuffix('.torque')} gear gave no finite torque {at}", True
-    if passed.endswith(".lateral"):
-        gear = passed.removesuffix(".lateral")
+    gear, _, limit = passed.rpartition(".")
+    if limit == "torque":
+        return f"the lateral law of the {gear} gear gave no finite torque {at}", True
+    if limit == "lateral":
         return f"{gear} gear derailed, |y| = {1e3 * abs(last[f'{gear}.y']):.1f} mm {at}", True
     stopped = "stop speed reached" if last["front.v"] > 0 else "the car stands"
     reasons = {"track_end": "end of the run", "stop_speed": stopped}
-    return f"{reasons.get(passed, 'time limit reached')} {at}", False
+    return f"{reasons.get(limit, 'time limit reached')} {at}", False
 
 
 def _warnings(series: pd.DataFrame, vehicle: Vehicle) -> tuple[str, ...]:
-    """Sentences on where the run left the validity of the models."""
+    """Say where the run first left the range in which a model is valid."""
     found: list[str] = []
-    if series.empty:  # a run whose first row is not finite
+    if series.empty:  # the first row of the run is not finite
         return ()
 
     def first(mask: np.ndarray, sentence: str) -> None:

@@ -16,7 +16,8 @@ from railrepro.estimation.sensors import Latency
 from railrepro.evidence.chain import chain
 from railrepro.evidence.claims import calibrated, statements
 from railrepro.evidence.report import flips
-from railrepro.simulation.scenarios import load_scenarios
+from railrepro.simulation import metrics
+from railrepro.simulation.scenarios import Scenario, Sine, load_scenarios
 from railrepro.studies import preview
 from railrepro.track import route
 from railrepro.track.alignment import alignments
