@@ -1,4 +1,4 @@
-"""What the 1 kHz control law measures, records and compares with limits: names and units. Serves the paper's Fig. 4."""
+"""Names and units of the quantities that the 1 kHz control law measures, logs and limits. Serves the paper's Fig. 4."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from railrepro.quantities import Scalar, names
 
 @dataclass(frozen=True)
 class MeasuredGear:
-    """What the law measures of a running gear, see `car.outputs.GearStates`."""
+    """Measured states of a running gear, see `car.outputs.GearStates`."""
 
     p: Annotated[Scalar, between(-1e6, 1e6, "m"), "track coordinate"]
     psi_Ax: Annotated[Scalar, between(-1e3, 1e3, "rad"), "heading"]
@@ -25,7 +25,7 @@ class MeasuredGear:
 
 @dataclass(frozen=True)
 class MeasuredWheel:
-    """What the law measures of a wheel, see `car.outputs.WheelOutputs`."""
+    """Measured quantities of a wheel, see `car.outputs.WheelOutputs`."""
 
     adhesion: Annotated[Scalar, between(-10.0, 10.0, "-")]
     sx: Annotated[Scalar, between(-1e3, 1e3, "-"), "slip"]
@@ -34,8 +34,8 @@ class MeasuredWheel:
 
 @dataclass(frozen=True)
 class Measured:
-    """Outputs of the car that the law measures. An exported controller refuses values out of these ranges; `p` also has
-    to be on its route."""
+    """Outputs of the car that the law measures. An exported controller refuses values out of range, and a `p` that is
+    not on its route."""
 
     front: MeasuredGear
     rear: MeasuredGear
@@ -50,14 +50,12 @@ class GearMargin:
     """Distances of a running gear to the limits of a run."""
 
     lateral: Annotated[Scalar, "m", "to the largest lateral displacement"]
-    torque: Annotated[
-        Scalar, "-", "0 where the lateral law gives no finite number, which the torque limit would hide; else 1"
-    ]
+    torque: Annotated[Scalar, "-", "1, or 0 if the lateral law gives no finite number before the torque limit"]
 
 
 @dataclass(frozen=True)
 class Margins:
-    """Distances to the limits of a run, which goes on while all are positive."""
+    """Distances to the limits of a run. The run goes on while all are positive."""
 
     front: GearMargin
     rear: GearMargin
@@ -67,7 +65,7 @@ class Margins:
 
 @dataclass(frozen=True)
 class Limits:
-    """Where a run ends."""
+    """Limits at which a run ends."""
 
     lateral: Annotated[Scalar, "m", "largest lateral displacement of a running gear"]
     track_end: Annotated[Scalar, "m", "largest track coordinate of the front running gear"]
@@ -76,7 +74,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class ReadGear:
-    """States of a running gear as its sensors read them."""
+    """Sensor readings of the states of a running gear."""
 
     y_TrAx: Annotated[Scalar, "m", "lateral displacement"]
     psi_TrAx: Annotated[Scalar, "rad", "yaw angle against the track"]
@@ -85,19 +83,19 @@ class ReadGear:
 
 @dataclass(frozen=True)
 class Record:
-    """Log of one running gear."""
+    """Logged quantities of one running gear."""
 
     u_d: Annotated[Scalar, "N m", "base torque"]
     du: Annotated[Scalar, "N m", "differential torque"]
     tau_long: Annotated[Scalar, "N m", "longitudinal torque"]
     f_star: Annotated[Scalar, "-", "set point of the adhesion"]
     segment: Annotated[Scalar, "-", "segment of the adhesion law, 1 to 3"]
-    y_ref: Annotated[Scalar, "m", "lateral set point at the true position, from which errors are counted"]
+    y_ref: Annotated[Scalar, "m", "lateral set point at the true position, to which errors refer"]
 
 
 @dataclass(frozen=True)
 class EstimatedRecord(States):
-    """Further log of one running gear with sensors: what its controllers get."""
+    """Logged inputs of the controllers of one running gear, for runs with sensors."""
 
     f_le: Annotated[Scalar, "-", "adhesion of the left wheel"]
     f_ri: Annotated[Scalar, "-", "adhesion of the right wheel"]
