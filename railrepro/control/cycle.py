@@ -16,7 +16,7 @@ from railrepro.track.route import COLUMNS
 
 SAMPLE = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, *[ctypes.POINTER(ctypes.c_double)] * 2, ctypes.c_double)
 """Type of the C function of a slower controller: (address of its memory, states (6,) of its gear as
-`control_model.STATES`, readings (3,) as `interface.ReadGear`, base torque (N m)) -> differential torque (N m)."""
+`control_model.STATES`, readings (3,) as `interface.READ`, base torque (N m)) -> differential torque (N m)."""
 SLOTS = Path(__file__).with_name("slots.c").read_text(encoding="utf-8")
 """C text that calls the slower controllers through pointers to functions of the type `SAMPLE`."""
 _SOURCE = Path(__file__).with_suffix(".c").read_text(encoding="utf-8")
@@ -37,12 +37,12 @@ def c_text(signature: law.LawSignature, parameters: int, planners: str = SLOTS) 
         planners (str): C of the slower controllers, which defines the type planner_memory_t and the functions
             planner_reset, planner_link and planner_sample.
     """
-    measured, memory, read = indices(interface.Measured), indices(signature.Memory), names(interface.ReadGear)
+    measured, memory, read = indices(interface.Measured), indices(signature.Memory), interface.READ
     places: dict[str, int | str] = {"GEAR_MEASURED": measured.rear.p - measured.front.p, "BASE": memory.front.u}
     places |= {"GEAR_MEMORY": memory.rear.u - memory.front.u, "N_READINGS": len(read), "ESTIMATED": 0, "READ": 0}
     places |= {"READ_OF_STATE": "{" + ", ".join(str(STATES.index(name)) for name in read) + "}"}
     if isinstance(memory.front, law.SensedGearMemory):
-        places |= {"ESTIMATED": memory.front.estimated.x, "READ": memory.front.read.y_TrAx}
+        places |= {"ESTIMATED": memory.front.estimated.x, "READ": memory.front.read[0]}
     return codegen.defines(_sizes(signature, parameters) | places) + planners + _SOURCE
 
 

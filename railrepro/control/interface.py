@@ -7,7 +7,7 @@ from typing import Annotated
 
 from railrepro.car.component import DERAILED
 from railrepro.data import between
-from railrepro.model.control_model import States
+from railrepro.model.control_model import STATES
 from railrepro.quantities import Scalar, names
 
 
@@ -46,39 +46,12 @@ class Measured:
 
 
 @dataclass(frozen=True)
-class GearMargin:
-    """Distances of a running gear to the limits of a run."""
-
-    lateral: Annotated[Scalar, "m", "to the largest lateral displacement"]
-    torque: Annotated[Scalar, "-", "1, or 0 if the lateral law gives no finite number before the torque limit"]
-
-
-@dataclass(frozen=True)
-class Margins:
-    """Distances to the limits of a run. The run goes on while all are positive."""
-
-    front: GearMargin
-    rear: GearMargin
-    track_end: Annotated[Scalar, "m", "of the front running gear to the end of the track"]
-    stop_speed: Annotated[Scalar, "m/s", "speed above the one at which a run ends"]
-
-
-@dataclass(frozen=True)
 class Limits:
     """Limits at which a run ends."""
 
     lateral: Annotated[Scalar, "m", "largest lateral displacement of a running gear"]
     track_end: Annotated[Scalar, "m", "largest track coordinate of the front running gear"]
     stop_speed: Annotated[Scalar, "m/s", "lowest speed of the front running gear"]
-
-
-@dataclass(frozen=True)
-class ReadGear:
-    """Sensor readings of the states of a running gear."""
-
-    y_TrAx: Annotated[Scalar, "m", "lateral displacement"]
-    psi_TrAx: Annotated[Scalar, "rad", "yaw angle against the track"]
-    psidot_Ax: Annotated[Scalar, "rad/s", "yaw rate"]
 
 
 @dataclass(frozen=True)
@@ -93,15 +66,14 @@ class Record:
     y_ref: Annotated[Scalar, "m", "lateral set point at the true position, to which errors refer"]
 
 
-@dataclass(frozen=True)
-class EstimatedRecord(States):
-    """Logged inputs of the controllers of one running gear, for runs with sensors."""
-
-    f_le: Annotated[Scalar, "-", "adhesion of the left wheel"]
-    f_ri: Annotated[Scalar, "-", "adhesion of the right wheel"]
-    s_le: Annotated[Scalar, "-", "slip of the left wheel"]
-    s_ri: Annotated[Scalar, "-", "slip of the right wheel"]
-    y_ref: Annotated[Scalar, "m", "lateral set point at the estimated position"]
-
-
-MEASURED, MARGINS = names(Measured), names(Margins)
+ESTIMATED = (*STATES, "f_le", "f_ri", "s_le", "s_ri", "y_ref")
+"""Names of the logged inputs of the controllers of one running gear in a run with sensors: states of the control model,
+adhesion (-) and slip (-) of the left and the right wheel, lateral set point at the estimated position (m)."""
+READ = ("y_TrAx", "psi_TrAx", "psidot_Ax")
+"""Names of the readings of one running gear: lateral displacement (m), yaw angle against the track (rad), yaw rate
+(rad/s)."""
+MEASURED = names(Measured)
+MARGINS = ("front.lateral", "front.torque", "rear.lateral", "rear.torque", "track_end", "stop_speed")
+"""Names of the distances to the limits of a run, which goes on while all are positive. "lateral" (m) is the distance to
+the largest lateral displacement. "torque" is 1, or 0 if the lateral law gives no finite number before the torque limit.
+"track_end" (m) is the distance of the front gear to the end of the track, "stop_speed" (m/s) its excess speed."""

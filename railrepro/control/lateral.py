@@ -152,10 +152,8 @@ def split(guidance) -> tuple[LateralLaw, Factory | None]:
     if hasattr(guidance, "torque"):
         return guidance, factory
     if factory is None:
-        raise InputError(
-            f"guidance {guidance!r}: an object with torque(q), or a factory (vehicle, route, gear) of objects with "
-            "period and plan(), is needed"
-        )
+        needed = "an object with torque(q), or a factory (vehicle, route, gear) of objects with period and plan(), is"
+        raise InputError(f"guidance {guidance!r}: {needed} needed")
     return ZeroOrderHold(), factory
 
 
@@ -251,23 +249,22 @@ def answer(law: LateralLaw, q: Quantities) -> tuple[ca.SX, dict[str, ca.SX]]:
     """Call `law.torque(q)` and return the differential torque (N m) with a dict from state to next value, empty without
     memory. InputError if the law uses an attribute that `q` lacks, compares expressions by `if`, `min` or `max`, or
     returns anything else."""
+    owner = _owner(law)
     try:
         result = law.torque(q)
     except AttributeError as error:
         if error.obj is not q:
             raise
         # the traceback shows the line of the law
-        raise InputError(f"{_owner(law)}: {error}").with_traceback(error.__traceback__) from None
+        raise InputError(f"{owner}: {error}").with_traceback(error.__traceback__) from None
     except RuntimeError as error:
         if "truth value" not in str(error):  # CasADi raises it for `if` and `max` on expressions
             raise
-        raise InputError(
-            f"{_owner(law)}: torque() compares expressions; casadi.if_else takes the place of if, casadi.fmin and "
-            "casadi.fmax that of min and max"
-        ) from None
+        needed = "casadi.if_else takes the place of if, casadi.fmin and casadi.fmax that of min and max"
+        raise InputError(f"{owner}: torque() compares expressions; {needed}") from None
     pair = result if isinstance(result, tuple) else (result, {})
     if len(pair) != 2 or not isinstance(pair[1], dict):
-        raise InputError(f"{_owner(law)}: torque() gave {pair!r}, a torque or a pair (torque, dict) is needed")
+        raise InputError(f"{owner}: torque() gave {pair!r}, a torque or a pair (torque, dict) is needed")
     return pair
 
 

@@ -71,7 +71,7 @@ class SensedGearMemory(GearMemory):
     sensor: SensorMemory
     filter: observers.FilterState
     estimated: States
-    read: interface.ReadGear
+    read: Annotated[list[Scalar], interface.READ]
 
 
 @dataclass(frozen=True)
@@ -112,9 +112,7 @@ class LawSignature:
     @property
     def record(self) -> tuple[str, ...]:
         """Names of the logged columns such as "front.du", with sensors also such as "front.estimated.y_TrAx"."""
-        groups = {"": names(interface.Record)}
-        if self.sensed:
-            groups["estimated."] = names(interface.EstimatedRecord)
+        groups = {"": names(interface.Record)} | ({"estimated.": interface.ESTIMATED} if self.sensed else {})
         return tuple(f"{gear}.{group}{name}" for group, of in groups.items() for gear in GEARS for name in of)
 
 
@@ -147,7 +145,7 @@ def control_law(
     Args:
         vehicle (Vehicle): Vehicle parameters that the controllers assume.
         guidance (LateralLaw, optional): Lateral law; default `ZeroOrderHold`.
-        adhesion (AdhesionSettings, optional): The default takes `sensors.loop.adhesion` into account.
+        adhesion (AdhesionSettings, optional): Default `AdhesionSettings()`, with the values of `sensors.loop.adhesion`.
         fixed_share (float): Share of the torque limit reserved for the differential torque (-), see `allocate`.
         sensors (Readings, optional): Sensors and latencies between car and controllers; default none.
         lateral_limit, track_end, stop_speed (float): A run ends when |lateral displacement| of a gear exceeds
@@ -192,12 +190,12 @@ def _model(vehicle: Vehicle) -> ModelInputs:
 
 @codegen.stored
 def function(signature: LawSignature) -> ca.Function:
-    """The 1 kHz law of both gears as a CasADi function of vectors (SI).
+    """Make the 1 kHz law of both gears, a CasADi function of vectors (SI).
 
-    Its inputs are y, what is measured, as `interface.Measured`; rows of the route at the front and the rear gear, shape
-    (len(COLUMNS), 2); held, the last torques of the slower controllers of both gears (N m), shape (2,); gains as
-    `signature.Gains`, and memory as `signature.Memory`. Its outputs are the command, motor torques (N m) in the order
-    of `WHEELS`; memory_next; record as `signature.record`, and margins as `interface.Margins`.
+    Inputs: y in the order of `interface.Measured`; rows of the route at the front and the rear gear, shape
+    (len(COLUMNS), 2); held, the last torques of both slower controllers; gains and memory as in `signature`.
+    Outputs: command, motor torques in the order of `WHEELS`; memory_next; record as `signature.record`; margins as
+    `interface.MARGINS`.
     """
     y, measured = symbols(interface.Measured, "y")
     gains, gain = symbols(signature.Gains, "gains")
@@ -207,23 +205,17 @@ def function(signature: LawSignature) -> ca.Function:
     lateral_law = ca.Function.deserialize(signature.lateral.text)
     given = zip(gears, _tracks(gears), ca.vertsplit(held), strict=True)
     cycles = [_cycle(lateral_law, memory.ticks, *of_gear) for of_gear in given]
-    torques, memories, records, estimated, distances = zip(*cycles, strict=True)
+    torques, memories, records, estimated, margins = zip(*cycles, strict=True)
     front, limit = gears[0].truth, gain.limit
-    ends = limit.track_end - front.x, front.xdot - limit.stop_speed
     outputs = {
         "command": [*torques[0], *torques[1]],
         "memory_next": pack(signature.Memory(memory.ticks + 1, *memories)),
         "record": [*records[0], *records[1], *estimated[0], *estimated[1]],
-        "margins": pack(interface.Margins(distances[0], distances[1], *ends)),
+        "margins": [*margins[0], *margins[1], limit.track_end - front.x, front.xdot - limit.stop_speed],
     }
-    return ca.Function(
-        "control_law",
-        [y, rows, held, gains, old],
-        [ca.densify(ca.vertcat(*entries)) for entries in outputs.values()],
-        ["y", "rows", "held", "gains", "memory"],
-        list(outputs),
-        {"cse": True},
-    )
+    vectors = [ca.densify(ca.vertcat(*entries)) for entries in outputs.values()]
+    inputs = {"y": y, "rows": rows, "held": held, "gains": gains, "memory": old}
+    return ca.Function("control_law", [*inputs.values()], vectors, [*inputs], [*outputs], {"cse": True})
 
 
 @dataclass(frozen=True)
@@ -292,7 +284,7 @@ def _known(gear: _Gear, track: TrackInputs, ticks: ca.SX) -> tuple[States, list,
 def _cycle(lateral_law: ca.Function, ticks: ca.SX, gear: _Gear, track: TrackInputs, held: ca.SX) -> tuple:
     """Adhesion law, lateral law and integration rule of a running gear. `ticks` counts the cycles since the start,
     `held` is the last torque of a slower controller (N m). Returns torques of [left, right] motor (N m), next
-    `GearMemory`, entries of `Record` and `EstimatedRecord` (none without sensors), and `GearMargin`."""
+    `GearMemory`, entries of `Record` and, with sensors, of `interface.ESTIMATED`, and the margins of this gear."""
     gain, model, old = gear.gain, gear.gain.model, gear.memory
     state, f, s, filtered = _known(gear, track, ticks)
     f_star = gear.cell["force"] / (2 * gain.nominal_load)
@@ -304,7 +296,7 @@ def _cycle(lateral_law: ca.Function, ticks: ca.SX, gear: _Gear, track: TrackInpu
     groups = [*pack(state), xddot, held], pack(track), old.lateral, gain.lateral, [*pack(model), tau_max]
     du, following = lateral_law(*(ca.vertcat(*entries) for entries in groups))
     y, y_ref = gear.truth.y_TrAx, reference_in(gear.cell, gear.truth.x)[0]  # at the true position
-    margin = interface.GearMargin(gain.limit.lateral - ca.fabs(y), ca.fabs(du) < np.inf)
+    margin = gain.limit.lateral - ca.fabs(y), ca.fabs(du) < np.inf
     du *= ca.fmin(ca.fmax(state.xdot / GUIDANCE_FADE, 0), 1)
     *torques, tau_long, du = allocate(u_d, du, tau_max, gain.fixed_share)
     record = pack(interface.Record(u_d, du, tau_long, f_star, segment, y_ref))
@@ -315,6 +307,6 @@ def _cycle(lateral_law: ca.Function, ticks: ca.SX, gear: _Gear, track: TrackInpu
     memory["sensor"] = SensorMemory(**gear.lines, tau_le=lines[0], tau_ri=lines[1])
     memory["filter"] = observers.advance(filtered, lines, track, gear.sensor, gain)
     y, psi = (readings.y_ahead + readings.y_behind) / 2, (readings.y_ahead - readings.y_behind) / gear.sensor.base
-    memory |= {"estimated": state, "read": interface.ReadGear(y, psi, readings.psidot_Ax)}
+    memory |= {"estimated": state, "read": [y, psi, readings.psidot_Ax]}
     received = [received_torque(line, gear.sensor) for line in lines]
     return received, type(old)(**memory), record, [*pack(state), *f, *s, track.y_ref], margin

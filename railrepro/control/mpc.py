@@ -9,7 +9,6 @@ from __future__ import annotations
 import ctypes
 import time
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
@@ -31,13 +30,6 @@ LINEAR, REAL_TIME, CONVERGED = range(3)
 SOLVERS = {"gauss_newton": CONVERGED, "rti": REAL_TIME, "ipopt": CONVERGED}
 
 
-class Solve(NamedTuple):
-    """Processor time (s) of a call of `PredictiveController.plan`, and iterations of the solver in it."""
-
-    seconds: float
-    iterations: int
-
-
 @dataclass
 class PredictiveController:
     """Predictive controller of one gear (0 front, 1 rear), see `lateral.SlowController`. Base of `NMPC` and `LTVMPC`.
@@ -45,7 +37,8 @@ class PredictiveController:
     When a problem cannot be solved, the controller follows the plan of the sample before, and `fallbacks` counts it.
 
     Attributes:
-        stats (list of Solve): One record per call of `plan`. Samples that compiled C computes leave none.
+        stats (list of tuple): Processor time (s) and iterations of each call of `plan`.
+        period (float): Sampling time (s).
         plan_du (ndarray, shape (L,)): Differential torques of the last plan (N m), L = `settings.steps`.
         horizon (Horizon): Problem, trajectory and solver in compiled code.
         nominal (ndarray, shape (3,)): Vehicle data of the forecast in the order of `model.forecast.NOMINAL` (SI).
@@ -64,8 +57,8 @@ class PredictiveController:
     def __post_init__(self) -> None:
         require("MPC: settings", self.settings, MPCSettings)
         lateral.check_arguments(type(self).__name__, self.vehicle, self.route, self.gear)
-        self.stats: list[Solve] = []
-        s = self.settings
+        self.stats: list[tuple[float, int]] = []
+        s, self.period = self.settings, self.settings.period
         self.parameters = parameter_vector(self.vehicle)
         self.nominal = nominal_values(self.vehicle, self.gear, printed="D4" in kept_as_printed(s.variant))
         self.horizon = Horizon(s, self.nominal, self.parameters, self.route)
@@ -73,11 +66,6 @@ class PredictiveController:
         self.c, self._library, self._pointer = self.horizon.c, self.horizon.library, self.horizon.pointer
         self.drive = np.array(pack(self.vehicle.drive), dtype=float)
         self.c.drive, self.c.mode = self.drive.ctypes.data, self.mode
-
-    @property
-    def period(self) -> float:
-        """Sampling time (s)."""
-        return self.settings.period
 
     @property
     def fallbacks(self) -> int:
@@ -96,7 +84,7 @@ class PredictiveController:
         begin = time.thread_time()
         self._measured[:], u_d = self._checked(x_hat, u_d)
         torque = self._torque(ctypes.c_void_p(self._measured.ctypes.data), ctypes.c_double(u_d))
-        self.stats.append(Solve(time.thread_time() - begin, self.c.iterations))
+        self.stats.append((time.thread_time() - begin, self.c.iterations))
         return torque
 
     def compiled(self, _loop: Loop | None, _leader: object = None) -> tuple[int, int] | None:

@@ -115,6 +115,6 @@ class ClosedLoop:
 
     @property
     def margins(self) -> dict[str, float]:
-        """Distances to the limits of a run as a dict, keys as in `interface.Margins`. The run ends when one is not
+        """Distances to the limits of a run as a dict, keys as in `interface.MARGINS`. The run ends when one is not
         positive."""
         return dict(zip(interface.MARGINS, self._arrays["margins"].tolist(), strict=True))

@@ -15,9 +15,8 @@ from railrepro.model.control_model import STATES, THETA
 from railrepro.model.parameters import PARAMETERS
 
 _N = len(STATES)
-_SCALES = {"x": 1.0, "psi_Ax": 1e-2, "xdot": 1.0, "psidot_Ax": 1e-2, "y_TrAx": 1e-3, "psi_TrAx": 1e-3}
-SCALE = np.array([_SCALES[name] for name in STATES])
-"""Units of the deviations of the states in the NLP, shape (6,) (SI)."""
+SCALE = np.array([1.0, 1e-2, 1.0, 1e-2, 1e-3, 1e-3])
+"""Units of the deviations of the states in the NLP, in the order of `control_model.STATES` (SI)."""
 UNIT, COST, SLACK = 1e3, 1e6, 1e-3
 """Unit of torques in the NLP (N m), factor on the cost, unit of slacks (m). Without them solvers stop too early."""
 

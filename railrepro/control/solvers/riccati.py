@@ -69,13 +69,9 @@ def _compiled(variant: str, discretisation: str) -> tuple[ctypes.CDLL, Any, Any]
 class Horizon:
     """Problem, trajectory and compiled solver of one predictive controller over L = `settings.steps` time steps.
 
-    Arrays are views of the memory in C (SI). Each problem starts from the active sets of the problem before.
-
-    Args:
-        settings (MPCSettings): Weights, horizon, bounds.
-        nominal (ndarray, shape (3,)): In the order of `model.forecast.NOMINAL`.
-        parameters (ndarray, shape (14,)): In the order of `model.parameters.PARAMETERS`.
-        route (Route): Track and set point ahead.
+    The arguments `nominal` (3,) and `parameters` (14,) are vehicle data in the order of `model.forecast.NOMINAL` and
+    `model.parameters.PARAMETERS`. Arrays are views of the memory in C (SI). Each problem starts from the active sets of
+    the problem before.
 
     Attributes:
         x_hat (ndarray, shape (6,)): Measured state.
