@@ -1,8 +1,6 @@
-"""Each step of the adhesion law by itself: segments, corridor, dead zone, both directions of travel of the torque.
-
-The paper's rule: with the error nu = f* - f (24) the torque moves by p sgn(nu) in regular operation (22), (25); where
-the switching function f' s' (21) tells that the maximum is passed, it is lowered whatever nu says (23). Slip as printed
-is negative in traction, so a stable wheel has f' s' < 0.
+"""Steps of the adhesion law. With the error nu = f* - f (24) the torque changes by p sgn(nu) in regular operation
+(22), (25). Where the switching function f' s' (21) shows that the maximum is passed, it falls whatever nu is (23). The
+printed slip is negative in traction, so a stable wheel has f' s' < 0.
 """
 
 from dataclasses import replace
@@ -24,16 +22,11 @@ POLE = 1 / 5  # of the filter: 1 ms / (4 ms + 1 ms)
 BELOW, INSIDE, ABOVE = (0.02, 0.02), (0.05, 0.05), (0.08, 0.08)
 BACK, REST, AHEAD = (-1e-4, -1e-4), (0.0, 0.0), (1e-4, 1e-4)
 REGULAR = {BELOW: (2.0, 1), INSIDE: (0.0, 2), ABOVE: (-5.0, 3)}
-
-
-def law_function():
-    groups = {"q": AdhesionInputs, "memory": AdhesionMemory, "settings": AdhesionSettings}
-    (q_, q), (memory_, memory), (settings_, settings) = (symbols(group, name) for name, group in groups.items())
-    u, kept, segment = settings.base_torque(q, memory)
-    return ca.Function("law", [q_, memory_, settings_], [u, ca.vertcat(u, *pack(kept)), segment])
-
-
-FUNCTION = law_function()
+EDGES = {0.04701: (0.0, 2), 0.04699: (2.0, 1), 0.05299: (0.0, 2), 0.05301: (-5.0, 3), -0.08: (2.0, 1)}
+GROUPS = {"q": AdhesionInputs, "memory": AdhesionMemory, "settings": AdhesionSettings}
+VECTORS, (_Q, _MEMORY, _SETTINGS) = zip(*(symbols(group, name) for name, group in GROUPS.items()), strict=True)
+_U, _KEPT, _SEGMENT = _SETTINGS.base_torque(_Q, _MEMORY)
+FUNCTION = ca.Function("law", VECTORS, [_U, ca.vertcat(_U, *pack(_KEPT)), _SEGMENT])
 
 
 def call(f, s, f_star, memory, settings=LAW, v=SPEED):
@@ -45,10 +38,8 @@ def call(f, s, f_star, memory, settings=LAW, v=SPEED):
 
 
 def change(adhesion, slip=REST, rise=REST, u=1000.0, settings=LAW, level=SLIP, v=SPEED):
-    """Change of the torque, and segment, in traction.
-
-    Adhesions of both wheels (-), their `rise` since the last call, and that of the amount of their slip, to `level`.
-    """
+    """Change of the torque, and segment, in traction, at adhesions of both wheels that have changed by `rise`, and at a
+    slip of `-level` whose amount has changed by `slip`."""
     memory = [u, *(np.array(adhesion) - rise), *(np.array(slip) - level)]
     found, _, segment = call(adhesion, [-level] * 2, SET_POINT, memory, settings, v)
     return found - u, segment
@@ -64,22 +55,13 @@ def test_braking_is_the_mirror_image_of_traction(f, s, kept, u):
     assert (found, segment) == (-mirror[0], mirror[2]) and np.array_equal(kept, -mirror[1])
 
 
-@pytest.mark.parametrize(
-    ("adhesion", "step", "segment"),
-    [
-        *((adhesion, *found) for adhesion, found in REGULAR.items()),
-        ((0.04701, 0.04701), 0.0, 2),
-        ((0.04699, 0.04699), 2.0, 1),
-        ((0.05299, 0.05299), 0.0, 2),
-        ((0.05301, 0.05301), -5.0, 3),
-        ((0.02, 0.07), 2.0, 1),  # the mean of both wheels counts
-        ((0.03, 0.09), -5.0, 3),
-        ((-0.08, -0.08), 2.0, 1),
-    ],
-)
-def test_regular_steps(adhesion, step, segment):
+MEANS = {(0.02, 0.07): (2.0, 1), (0.03, 0.09): (-5.0, 3)}  # the mean of both wheels counts
+
+
+@pytest.mark.parametrize(("adhesion", "found"), (REGULAR | {(f, f): of for f, of in EDGES.items()} | MEANS).items())
+def test_regular_steps(adhesion, found):
     """Estimates at rest: f' s' = 0 says nothing, the error of adhesion decides."""
-    assert change(adhesion) == (pytest.approx(step), segment)
+    assert change(adhesion) == (pytest.approx(found[0]), found[1])
 
 
 @pytest.mark.parametrize("adhesion", REGULAR)
