@@ -31,11 +31,8 @@ def _sizes(signature: law.LawSignature, parameters: int) -> dict[str, int]:
 def c_text(signature: law.LawSignature, parameters: int, planners: str = SLOTS) -> str:
     """C text of the control cycle of both gears, to be placed after call.h and the C generated from `law.function`.
 
-    Args:
-        signature (LawSignature): Signature of the 1 kHz law.
-        parameters (int): Number of run-time parameters, including the gains of the law.
-        planners (str): C of the slower controllers, which defines the type planner_memory_t and the functions
-            planner_reset, planner_link and planner_sample.
+    `parameters` is the number of run-time parameters, including the gains of the law. `planners` is the C of the slower
+    controllers: the type planner_memory_t with the functions planner_reset, planner_link and planner_sample.
     """
     measured, memory, read = indices(interface.Measured), indices(signature.Memory), interface.READ
     places: dict[str, int | str] = {"GEAR_MEASURED": measured.rear.p - measured.front.p, "BASE": memory.front.u}

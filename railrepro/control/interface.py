@@ -54,21 +54,12 @@ class Limits:
     stop_speed: Annotated[Scalar, "m/s", "lowest speed of the front running gear"]
 
 
-@dataclass(frozen=True)
-class Record:
-    """Logged quantities of one running gear."""
-
-    u_d: Annotated[Scalar, "N m", "base torque"]
-    du: Annotated[Scalar, "N m", "differential torque"]
-    tau_long: Annotated[Scalar, "N m", "longitudinal torque"]
-    f_star: Annotated[Scalar, "-", "set point of the adhesion"]
-    segment: Annotated[Scalar, "-", "segment of the adhesion law, 1 to 3"]
-    y_ref: Annotated[Scalar, "m", "lateral set point at the true position, to which errors refer"]
-
-
+RECORD = ("u_d", "du", "tau_long", "f_star", "segment", "y_ref")
+"""Names of the logged quantities of one running gear: base torque, differential torque, longitudinal torque (N m), set
+point of the adhesion (-), segment of the adhesion law (1 to 3), lateral set point at the true position (m)."""
 ESTIMATED = (*STATES, "f_le", "f_ri", "s_le", "s_ri", "y_ref")
 """Names of the logged inputs of the controllers of one running gear in a run with sensors: states of the control model,
-adhesion (-) and slip (-) of the left and the right wheel, lateral set point at the estimated position (m)."""
+adhesion and slip of left and right wheel (-), lateral set point at the estimated position (m)."""
 READ = ("y_TrAx", "psi_TrAx", "psidot_Ax")
 """Names of the readings of one running gear: lateral displacement (m), yaw angle against the track (rad), yaw rate
 (rad/s)."""

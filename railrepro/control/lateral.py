@@ -6,8 +6,9 @@ numbers, so one compiled object serves all tunings of a law. Serves the paper's 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Annotated, Any, Protocol
 
 import casadi as ca
@@ -72,14 +73,11 @@ GEAR, ROAD, MODEL = names(GearInputs), names(TrackInputs), (*names(ModelInputs),
 """Names of the inputs of a 1 kHz law about its running gear, about track and set point, and about the vehicle."""
 
 
-class Quantities(GearInputs, TrackInputs, ModelInputs):
+class Quantities(SimpleNamespace, GearInputs, TrackInputs, ModelInputs):
     """Argument `q` of `LateralLaw.torque`: scalar CasADi symbols (SI). Each state and each gain of the law is a further
     attribute."""
 
     tau_max: Annotated[Scalar, "N m", "torque limit of a motor at this speed; the base torque yields to du"]
-
-    def __init__(self, known: Mapping[str, ca.SX]):
-        vars(self).update(known)
 
     def __getattr__(self, name: str) -> ca.SX:
         raise AttributeError(f"torque() asks for q.{name}; there are {list(vars(self))}", name=name, obj=self)
@@ -227,7 +225,7 @@ def signature(law: LateralLaw) -> Signature:
             if name in known:
                 raise InputError(f"{owner}: {name!r} of its {group} is the name of another quantity already")
             known[name] = symbol
-    du, following = answer(law, Quantities(known))
+    du, following = answer(law, Quantities(**known))
     if set(following) != set(memory):
         raise InputError(f"{owner}: torque() gave memory {sorted(following)}, declared is {list(memory)}")
     states = [_scalar(following[name], f"memory {name!r}", owner) for name in memory]

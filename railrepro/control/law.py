@@ -112,7 +112,7 @@ class LawSignature:
     @property
     def record(self) -> tuple[str, ...]:
         """Names of the logged columns such as "front.du", with sensors also such as "front.estimated.y_TrAx"."""
-        groups = {"": names(interface.Record)} | ({"estimated.": interface.ESTIMATED} if self.sensed else {})
+        groups = {"": interface.RECORD} | ({"estimated.": interface.ESTIMATED} if self.sensed else {})
         return tuple(f"{gear}.{group}{name}" for group, of in groups.items() for gear in GEARS for name in of)
 
 
@@ -284,7 +284,7 @@ def _known(gear: _Gear, track: TrackInputs, ticks: ca.SX) -> tuple[States, list,
 def _cycle(lateral_law: ca.Function, ticks: ca.SX, gear: _Gear, track: TrackInputs, held: ca.SX) -> tuple:
     """Adhesion law, lateral law and integration rule of a running gear. `ticks` counts the cycles since the start,
     `held` is the last torque of a slower controller (N m). Returns torques of [left, right] motor (N m), next
-    `GearMemory`, entries of `Record` and, with sensors, of `interface.ESTIMATED`, and the margins of this gear."""
+    `GearMemory`, entries of `interface.RECORD` and, with sensors, of `ESTIMATED`, and the margins of this gear."""
     gain, model, old = gear.gain, gear.gain.model, gear.memory
     state, f, s, filtered = _known(gear, track, ticks)
     f_star = gear.cell["force"] / (2 * gain.nominal_load)
@@ -299,7 +299,7 @@ def _cycle(lateral_law: ca.Function, ticks: ca.SX, gear: _Gear, track: TrackInpu
     margin = gain.limit.lateral - ca.fabs(y), ca.fabs(du) < np.inf
     du *= ca.fmin(ca.fmax(state.xdot / GUIDANCE_FADE, 0), 1)
     *torques, tau_long, du = allocate(u_d, du, tau_max, gain.fixed_share)
-    record = pack(interface.Record(u_d, du, tau_long, f_star, segment, y_ref))
+    record = [u_d, du, tau_long, f_star, segment, y_ref]
     memory = {"u": u_d, "adhesion": adhesion, "lateral": ca.vertsplit(following)}
     if not gear.sensor:
         return torques, type(old)(**memory), record, [], margin

@@ -18,7 +18,6 @@ from railrepro.control.problem import MPCSettings, Problem
 from railrepro.control.solvers import ipopt
 from railrepro.control.solvers.riccati import Horizon
 from railrepro.data import InputError, between, require
-from railrepro.estimation.sensors import Loop
 from railrepro.model.control_model import XDOT, kept_as_printed, parameter_vector
 from railrepro.model.forecast import nominal_values
 from railrepro.quantities import pack
@@ -43,11 +42,10 @@ class PredictiveController:
         horizon (Horizon): Problem, trajectory and solver in compiled code.
         nominal (ndarray, shape (3,)): Vehicle data of the forecast in the order of `model.forecast.NOMINAL` (SI).
         c (ctypes.Structure): Memory in C, `horizon_t` of riccati.c.
-        mode (int): `LINEAR`, `REAL_TIME` or `CONVERGED`.
         drive (ndarray): Fields of `vehicle.parameters.Drive` (SI), which determine the torque limit.
     """
 
-    mode = CONVERGED  # not an argument, so without annotation
+    mode = CONVERGED  # one of the modes of planner.c; without annotation, as it is no argument
 
     vehicle: Vehicle
     route: Route
@@ -87,7 +85,7 @@ class PredictiveController:
         self.stats.append((time.thread_time() - begin, self.c.iterations))
         return torque
 
-    def compiled(self, _loop: Loop | None, _leader: object = None) -> tuple[int, int] | None:
+    def compiled(self, _loop: object, _leader: object = None) -> tuple[int, int] | None:
         """Addresses of the C function of a sample and of its memory, see `lateral.SlowController`. None with Ipopt,
         which is called from Python, and for a derived class, whose `plan` may differ."""
         if type(self) not in (NMPC, LTVMPC) or (isinstance(self, NMPC) and self.solver == "ipopt"):

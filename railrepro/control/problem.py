@@ -3,9 +3,8 @@
 Minimise over the differential torques du_0 … du_(L-1) of one running gear
 sum T |x_k - x_d,k|_Q^2 + T R du_k^2 + T |x_L - x_d,L|_QL^2 with QL = Q diag(0,0,0,0,q,q).
 The states x_k obey the prediction model, and torques stay within their limits. The bound of the lateral position is
-soft: exceeding it costs the square of the slack, so no state makes the problem infeasible.
-
-The functions for costs take numbers or CasADi expressions. Source: eqs. (31) and (32) of the paper.
+soft: exceeding it costs the square of the slack, so no state makes the problem infeasible. The functions for costs take
+numbers or CasADi expressions. Source: eqs. (31) and (32) of the paper.
 """
 
 from __future__ import annotations

@@ -50,11 +50,9 @@ _MPC = (*_RANGES, "r", "q_terminal")
 
 
 def mpc_settings(parameters: dict) -> MPCSettings:
-    """Make `MPCSettings` from a dict of tuning parameters.
-
-    Its keys are q_psi_TrAx (1/rad^2), q_psidot_Ax (s^2/rad^2), period_ms, horizon_s, and fields of `MPCSettings` such
-    as r. The weight of y_TrAx is 1/m^2, and that of other states 0. The horizon is limited to 5 to 100 steps.
-    """
+    """Make `MPCSettings` from a dict of tuning parameters: q_psi_TrAx (1/rad^2), q_psidot_Ax (s^2/rad^2), period_ms,
+    horizon_s, and fields of `MPCSettings` such as r. The weight of y_TrAx is 1/m^2, and that of other states 0. The
+    horizon is limited to 5 to 100 steps."""
     p = dict(parameters)
     for name, allowed in _RANGES.items():
         require(f"MPC: {name}", p[name], allowed)

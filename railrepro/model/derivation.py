@@ -94,10 +94,8 @@ def generalised_forces() -> tuple[sp.Expr, sp.Expr]:
 
 
 def lagrange(coordinate: sp.Symbol, rate: sp.Symbol, energies: tuple, rate_of_rates: dict) -> sp.Expr:
-    """Left side of Lagrange's equation of one coordinate and its rate (N or N m). Source: eq. (16b).
-
-    `energies` are kinetic energy, potential energy and dissipation. `rate_of_rates` maps each rate to its derivative.
-    """
+    """Left side of Lagrange's equation (16b) of one coordinate and its rate (N or N m). `energies` are kinetic energy,
+    potential energy and dissipation. `rate_of_rates` maps each rate to its derivative."""
     t, v, d = energies
     by_t, by_v = (along_track(e) if coordinate == x else sp.diff(e, coordinate) for e in (t, v))
     return time_derivative(sp.diff(t, rate), rate_of_rates) - by_t + by_v + sp.diff(d, rate)
