@@ -67,4 +67,4 @@ MEASURED = names(Measured)
 MARGINS = ("front.lateral", "front.torque", "rear.lateral", "rear.torque", "track_end", "stop_speed")
 """Names of the distances to the limits of a run, which goes on while all are positive. "lateral" (m) is the distance to
 the largest lateral displacement. "torque" is 1, or 0 if the lateral law gives no finite number before the torque limit.
-"track_end" (m) is the distance of the front gear to the end of the track, "stop_speed" (m/s) its excess speed."""
+"track_end" (m) is the distance of the front gear to the track end, "stop_speed" (m/s) its speed less the limit."""

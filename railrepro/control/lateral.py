@@ -89,7 +89,7 @@ class LateralLaw(Protocol):
     Four members are optional. `memory` is a tuple with the names of the states of the law, which each gear has for
     itself and which start at 0. `gains()` returns a dict from name to value of numbers that can change without
     compiling again. `ranges()` returns a dict from name of a gain to the `data.Quantity` in which an exported law keeps
-    it. `alike = True` in the body of a class states that `torque` depends on q only, so it is called for one object.
+    it. `alike = True` in the body of a class states that `torque` depends on q only, so one object stands for all.
     """
 
     def torque(self, q: Quantities) -> ca.SX | tuple[ca.SX, dict[str, ca.SX]]:

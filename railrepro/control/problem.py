@@ -27,7 +27,7 @@ from railrepro.vehicle.parameters import Drive
 
 LARGEST_WEIGHT = 1e9
 WEIGHTS = {f"q_{name}": (above if name == "y_TrAx" else between)(0.0, LARGEST_WEIGHT) for name in STATES}
-"""Range of the weight of each state by its name, such as "q_x", in the units of `MPCSettings.q_diag`."""
+"""Range of the weight of each state by its name, such as "q_x". The weight of y_TrAx must be above 0."""
 TUNING = (*WEIGHTS, "r", "q_terminal", "period", "lateral_bound", "bound_weight")
 """Names of the entries of a tuning vector: weights of the states, then fields of `MPCSettings`."""
 

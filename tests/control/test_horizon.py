@@ -29,8 +29,7 @@ PARAMETERS, NOMINAL = parameter_vector(V), nominal_values(V, 0)
 RTI = (NMPC, {"solver": "rti"})
 CONTROLLERS = [(NMPC, {}), RTI, (NMPC, {"solver": "ipopt"}), (LTVMPC, {})]
 _PSI, _KAPPA = ROUTE.track_at(200.0)[:2, 0]
-X = np.array([200.0, _PSI, SPEED, _KAPPA * SPEED, 2e-3, 3e-4])
-"""A measured state on the clothoid, off centre and yawed."""
+X = np.array([200.0, _PSI, SPEED, _KAPPA * SPEED, 2e-3, 3e-4])  # on the clothoid, off centre and yawed
 
 
 def horizon_of(settings=SETTINGS, bound=4000.0):
@@ -122,8 +121,9 @@ def test_no_sample_on_poor_rail_falls_back(name, solver):
             return torque
 
     cone = load_vehicle(**{"contact.profile": "cone"})  # no flange holds it
-    built = replace(built, controller=Counting)
-    run = simulate.run(scenarios.load_scenario("adhesion_loss"), built, plant_vehicle=cone)
+    run = simulate.run(
+        scenarios.load_scenario("adhesion_loss"), replace(built, controller=Counting), plant_vehicle=cone
+    )
     assert run.failed and not any(guided.fallbacks for guided in run.controllers) and max(most) < 60
     # the last problem of a converged sample starts from its solution
     assert solver != "rti" or np.mean(np.array(most) > MOST_SETS) > 0.02

@@ -24,10 +24,7 @@ class Own:
     memory = ("past",)
 
     def __init__(self, torque, gains=None):
-        self._torque, self._gains = torque, gains or {"k": 1.0}
-
-    def gains(self):
-        return self._gains
+        self._torque, self.gains = torque, lambda: gains or {"k": 1.0}
 
     def torque(self, q):
         du = self._torque(q)

@@ -34,8 +34,7 @@ def test_nominal_values_by_hand():
     assert printed == pytest.approx(rear | {"acceleration_per_torque": -1 / 0.46 / 16_000})
 
 
-STOP = 0.3 / (2 * 4000 / 0.46 / HALF_CAR)
-"""Time (s) in which a base torque of -4000 N m stops a gear from 0.3 m/s."""
+STOP = 0.3 / (2 * 4000 / 0.46 / HALF_CAR)  # s, from 0.3 m/s by a base torque of -4000 N m
 
 
 @pytest.mark.parametrize(
