@@ -1,9 +1,9 @@
 """Adhesion control: one law for regular operation and for seeking the adhesion maximum, in traction and braking.
 
-The law moves the base torque by a fixed step each millisecond. Segment I (adhesion below the set point, stable branch):
-raise; segment II (inside the corridor): hold; segment III (adhesion above the set point, or any wheel past its
-maximum): lower. It knows estimates of adhesion and slip, nothing of the contact law. Serves the paper's section
-Adhesion Control.
+The law changes the base torque by a fixed step each millisecond. In segment I the adhesion is below a corridor around
+the set point, and the torque rises. In segment II it is inside the corridor, and the torque stays. In segment III it is
+above, or a wheel is past its adhesion maximum, and the torque falls. The law gets estimates of adhesion and slip and
+does not know the creep law. Serves the paper's section Adhesion Control.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from railrepro.quantities import SIDES, Scalar
 
 _STEP = Annotated[float, between(0.0, 1e9, "N m per ms")]
 SLOWEST = 1.0
-"""Speed (m/s) below which the dead zone grows no more as the speed falls."""
+"""Speed (m/s) below which the dead zone no longer grows."""
 
 
 @dataclass(frozen=True)
 class AdhesionInputs:
-    """Inputs of the adhesion law for one running gear; lists are [left, right] wheel."""
+    """Inputs of the adhesion law of one running gear. Lists are [left, right] wheel."""
 
     f: Annotated[list[Scalar], SIDES, "adhesion (-), traction-positive"]
     s: Annotated[list[Scalar], SIDES, "slip (v - w r)/v (-)"]
@@ -38,7 +38,7 @@ class AdhesionInputs:
 
 @dataclass(frozen=True)
 class AdhesionMemory:
-    """States of the adhesion law for one running gear; lists are [left, right] wheel."""
+    """States of the adhesion law of one running gear. Lists are [left, right] wheel."""
 
     f: Annotated[list[Scalar], SIDES, "low-pass filtered adhesion (-)"]
     s: Annotated[list[Scalar], SIDES, "low-pass filtered slip (-)"]
@@ -46,37 +46,33 @@ class AdhesionMemory:
 
 @dataclass(frozen=True)
 class AdhesionSettings:
-    """Parameters of the adhesion law. InputError for a value of another type or beyond its range."""
+    """Parameters of the adhesion law. InputError for a value of a wrong type or out of range."""
 
     raise_step: _STEP = 2.0
-    """Increase of the base torque while adhesion is below the corridor, segment I (N m per ms), the paper's p1."""
+    """Increase of the base torque while the adhesion is below the corridor (N m per ms), p1 of the paper."""
     lower_step: _STEP = 5.0
-    """Decrease of the base torque while adhesion is above the corridor (N m per ms), the paper's p2."""
+    """Decrease of the base torque while the adhesion is above the corridor (N m per ms), p2 of the paper."""
     drop_step: _STEP = 100.0
-    """Decrease of the base torque when a wheel is past its adhesion maximum, segment III (N m per ms)."""
+    """Decrease of the base torque while a wheel is past its adhesion maximum (N m per ms)."""
     corridor: Annotated[float, between(0.0, 1.0)] = 0.003
-    """Half width of the tolerance corridor around the set point of adhesion (-)."""
+    """Half width of the corridor around the set point of adhesion (-)."""
     filter_time: Annotated[float, between(0.0, 10.0, "s")] = 5e-3
-    """Time constant of the low-pass filters of adhesion and slip, from which their rates are taken (s)."""
+    """Time constant of the low-pass filters of adhesion and slip before their rates are computed (s)."""
     dead_zone: Annotated[float, between(0.0, 1e9, "1/s")] = 2e-3
-    """Slip rate (1/s) below which no wheel counts as past its adhesion maximum."""
+    """Slip rate below which no wheel counts as past its adhesion maximum (1/s)."""
     noise_speed: Annotated[float, between(0.0, 1e3, "m/s")] = 0.0
-    """Speed (m/s) below which the dead zone grows as 1/v, as the noise of a slip computed from speeds; 0: constant."""
+    """Speed below which the dead zone grows as 1/v, like the noise of a computed slip (m/s). 0: it is constant."""
     active: bool = True
-    """False: no slip control; the base torque follows the demand, changing by at most `raise_step` (N m) per ms."""
+    """False: no slip control. The base torque follows the demand by steps of at most `raise_step`."""
 
     def __post_init__(self) -> None:
         check_fields(self)
 
     def base_torque(self, q: AdhesionInputs, memory: AdhesionMemory) -> tuple:
-        """One cycle (1 ms) of the adhesion law for one running gear. Arguments are numbers or CasADi expressions.
+        """Compute one cycle (1 ms) of the adhesion law of one running gear, with numbers or CasADi expressions.
 
-        Adhesion and slip are turned to be positive in the direction of the demand. With the sign of s that the paper
-        prints, f' s' < 0 would mark the stable branch in traction. Source: eqs. (21), (22), (23), (25).
-
-        Args:
-            q (AdhesionInputs): Inputs of this cycle.
-            memory (AdhesionMemory): Filter states after the previous cycle.
+        Here adhesion and slip count as positive in the direction of the demand, so f' s' < 0 past the maximum. With the
+        printed sign of s this would mark the stable branch in traction. Source: eqs. (21), (22), (23), (25).
 
         Returns:
             tuple: Base torque per wheel (N m); next `AdhesionMemory`; segment: 1 raise, 2 hold, 3 lower.
@@ -97,7 +93,7 @@ class AdhesionSettings:
         above, below = error < -self.corridor, error > self.corridor
         regular = ca.if_else(below, self.raise_step, ca.if_else(above, -self.lower_step, 0))
         along = sign * q.u
-        # Letting go of a wheel ends at zero torque and never pushes it the other way.
+        # a drop ends at zero torque and does not reverse it
         released = ca.fmax(along - self.drop_step, 0)
         moved = ca.if_else(ca.logic_and(unstable, along > 0), released, along + regular)
         seeking = sign * ca.fmin(ca.fmax(moved, -q.tau_max), q.tau_max)

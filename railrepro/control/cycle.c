@@ -1,24 +1,24 @@
-/* The control cycle of both gears without allocation: the control law every millisecond, and before it, every so many cycles,
-   the torques of slower controllers. Knows nothing of railways. Starts after call.h, the generated law, the sizes and places
-   of cycle.py, and planner_memory_t with planner_sample, a slower controller (slots.c, or that of an export). */
+/* The control cycle of both gears, without memory allocation: the control law every millisecond, and before it, when they are
+   due, the torques of the slower controllers. It needs call.h, the generated law, the sizes and indices of cycle.py, and a
+   slower controller: planner_memory_t and planner_sample, from slots.c or from an export. */
 
 typedef struct {
-  /* what is measured (SI), by the enumerated MEASURED_...; torques that follow (N m), by TORQUE_... */
+  /* measured quantities (SI) at the indices MEASURED_..., and commanded torques (N m) at TORQUE_... */
   double measured[N_INPUT], torque[N_OUTPUT];
-  /* by PARAMETER_..., the gains of the law first */
+  /* at the indices PARAMETER_..., the gains of the law first */
   double parameters[N_PARAMETER];
-  const double *cells;  /* the road, a table that the caller may exchange */
+  const double *cells;  /* rows of the route, a table that the caller may replace */
   double cell_start, cell_step;
   casadi_int n_cells;
   double rows[GEARS * N_CELL_COLUMNS], held[GEARS], memory[N_MEMORY], next[N_MEMORY];
-  /* what a log keeps, and margins to the limits of a run */
+  /* logged quantities, and margins to the limits of a run */
   double record[N_RECORD], margins[N_MARGIN];
-  /* cycles from one plan of the slower controllers to the next, 0 where there are none */
+  /* cycles so far; period of the slower controllers (cycles), 0 without them */
   casadi_int cycles, every;
   planner_memory_t planner[GEARS];
 } controller_t;
 
-/* Torques of the slower controllers from what is measured, or from what sensors and filter make of it. */
+/* Compute the torques of the slower controllers from measured or, with sensors, from estimated states. */
 static void controller_plan(controller_t *c) {
   static const int read_of_state[N_READINGS] = READ_OF_STATE;
   for (int g = 0; g < GEARS; ++g) {
@@ -34,7 +34,7 @@ static void controller_plan(controller_t *c) {
   }
 }
 
-/* From `measured` to `torque`; not 0 when the law fails. */
+/* Compute `torque` from `measured`. The result is not 0 when the law fails. */
 static int controller_command(controller_t *c) {
   for (int g = 0; g < GEARS; ++g) {
     const double p = c->measured[g * GEAR_MEASURED];
@@ -47,7 +47,7 @@ static int controller_command(controller_t *c) {
   return control_law(in, out, 0, 0, 0);
 }
 
-/* On to the next cycle. */
+/* Go on to the next cycle. */
 static void controller_keep(controller_t *c) {
   memcpy(c->memory, c->next, sizeof c->memory);
   ++c->cycles;

@@ -1,4 +1,4 @@
-"""The control cycle of both gears in C, for runs and export: slower controllers where they are due, then the 1 kHz law.
+"""The control cycle of both gears in C, for runs and export: slower controllers when they are due, then the 1 kHz law.
 Serves the paper's Fig. 4."""
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from railrepro.quantities import GEARS, WHEELS, indices, names
 from railrepro.track.route import COLUMNS
 
 SAMPLE = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, *[ctypes.POINTER(ctypes.c_double)] * 2, ctypes.c_double)
-"""C function of a slower controller, `sample_t` of slots.c: (address of its memory, states (6,) of its gear as
-`control_model.STATES`, readings (3,) as `interface.ReadGear`, base torque (N m)) -> differential torque (N m)."""
+"""Type of the C function of a slower controller: (address of its memory, states (6,) of its gear as
+`control_model.STATES`, readings (3,) as `interface.READ`, base torque (N m)) -> differential torque (N m)."""
 SLOTS = Path(__file__).with_name("slots.c").read_text(encoding="utf-8")
-"""C text, default `planners` of `c_text`: calls the slower controllers through pointers to functions, see `SAMPLE`."""
+"""C text that calls the slower controllers through pointers to functions of the type `SAMPLE`."""
 _SOURCE = Path(__file__).with_suffix(".c").read_text(encoding="utf-8")
 
 
@@ -29,26 +29,23 @@ def _sizes(signature: law.LawSignature, parameters: int) -> dict[str, int]:
 
 
 def c_text(signature: law.LawSignature, parameters: int, planners: str = SLOTS) -> str:
-    """C text of the control cycle of both gears. It has to follow call.h and the C generated from `law.function`.
+    """C text of the control cycle of both gears, to be placed after call.h and the C generated from `law.function`.
 
-    Args:
-        signature (LawSignature): Signature of the 1 kHz law.
-        parameters (int): Number of run-time parameters, including the gains of the law.
-        planners (str): C of the slower controllers: it defines planner_memory_t, planner_reset, planner_link and
-            planner_sample.
+    `parameters` is the number of run-time parameters, including the gains of the law. `planners` is the C of the slower
+    controllers: the type planner_memory_t with the functions planner_reset, planner_link and planner_sample.
     """
-    measured, memory, read = indices(interface.Measured), indices(signature.Memory), names(interface.ReadGear)
+    measured, memory, read = indices(interface.Measured), indices(signature.Memory), interface.READ
     places: dict[str, int | str] = {"GEAR_MEASURED": measured.rear.p - measured.front.p, "BASE": memory.front.u}
     places |= {"GEAR_MEMORY": memory.rear.u - memory.front.u, "N_READINGS": len(read), "ESTIMATED": 0, "READ": 0}
     places |= {"READ_OF_STATE": "{" + ", ".join(str(STATES.index(name)) for name in read) + "}"}
     if isinstance(memory.front, law.SensedGearMemory):
-        places |= {"ESTIMATED": memory.front.estimated.x, "READ": memory.front.read.y_TrAx}
+        places |= {"ESTIMATED": memory.front.estimated.x, "READ": memory.front.read[0]}
     return codegen.defines(_sizes(signature, parameters) | places) + planners + _SOURCE
 
 
 @lru_cache
 def structures(signature: law.LawSignature) -> tuple[Any, Any]:
-    """Pair of ctypes classes: C structs `planner_memory_t` and `controller_t` for a 1 kHz law with this signature."""
+    """Make the ctypes classes of the C structs `planner_memory_t` and `controller_t` for a 1 kHz law."""
     slot = codegen.structure("planner_memory_t", SLOTS, {}, sample_t=ctypes.c_void_p)
     sizes = _sizes(signature, len(names(signature.Gains)))
     return slot, codegen.structure("controller_t", _SOURCE, sizes, planner_memory_t=slot)

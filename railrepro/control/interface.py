@@ -1,4 +1,4 @@
-"""What the 1 kHz control law measures, records and compares with limits: names and units. Serves the paper's Fig. 4."""
+"""Names and units of the quantities that the 1 kHz control law measures, logs and limits. Serves the paper's Fig. 4."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from typing import Annotated
 
 from railrepro.car.component import DERAILED
 from railrepro.data import between
-from railrepro.model.control_model import States
+from railrepro.model.control_model import STATES
 from railrepro.quantities import Scalar, names
 
 
 @dataclass(frozen=True)
 class MeasuredGear:
-    """What the law measures of a running gear, see `car.outputs.GearStates`."""
+    """Measured states of a running gear, see `car.outputs.GearStates`."""
 
     p: Annotated[Scalar, between(-1e6, 1e6, "m"), "track coordinate"]
     psi_Ax: Annotated[Scalar, between(-1e3, 1e3, "rad"), "heading"]
@@ -25,7 +25,7 @@ class MeasuredGear:
 
 @dataclass(frozen=True)
 class MeasuredWheel:
-    """What the law measures of a wheel, see `car.outputs.WheelOutputs`."""
+    """Measured quantities of a wheel, see `car.outputs.WheelOutputs`."""
 
     adhesion: Annotated[Scalar, between(-10.0, 10.0, "-")]
     sx: Annotated[Scalar, between(-1e3, 1e3, "-"), "slip"]
@@ -34,8 +34,8 @@ class MeasuredWheel:
 
 @dataclass(frozen=True)
 class Measured:
-    """Outputs of the car that the law measures. An exported controller refuses values out of these ranges; `p` also has
-    to be on its route."""
+    """Outputs of the car that the law measures. An exported controller refuses values out of range, and a `p` that is
+    not on its route."""
 
     front: MeasuredGear
     rear: MeasuredGear
@@ -46,64 +46,25 @@ class Measured:
 
 
 @dataclass(frozen=True)
-class GearMargin:
-    """Distances of a running gear to the limits of a run."""
-
-    lateral: Annotated[Scalar, "m", "to the largest lateral displacement"]
-    torque: Annotated[
-        Scalar, "-", "0 where the lateral law gives no finite number, which the torque limit would hide; else 1"
-    ]
-
-
-@dataclass(frozen=True)
-class Margins:
-    """Distances to the limits of a run, which goes on while all are positive."""
-
-    front: GearMargin
-    rear: GearMargin
-    track_end: Annotated[Scalar, "m", "of the front running gear to the end of the track"]
-    stop_speed: Annotated[Scalar, "m/s", "speed above the one at which a run ends"]
-
-
-@dataclass(frozen=True)
 class Limits:
-    """Where a run ends."""
+    """Limits at which a run ends."""
 
     lateral: Annotated[Scalar, "m", "largest lateral displacement of a running gear"]
     track_end: Annotated[Scalar, "m", "largest track coordinate of the front running gear"]
     stop_speed: Annotated[Scalar, "m/s", "lowest speed of the front running gear"]
 
 
-@dataclass(frozen=True)
-class ReadGear:
-    """States of a running gear as its sensors read them."""
-
-    y_TrAx: Annotated[Scalar, "m", "lateral displacement"]
-    psi_TrAx: Annotated[Scalar, "rad", "yaw angle against the track"]
-    psidot_Ax: Annotated[Scalar, "rad/s", "yaw rate"]
-
-
-@dataclass(frozen=True)
-class Record:
-    """Log of one running gear."""
-
-    u_d: Annotated[Scalar, "N m", "base torque"]
-    du: Annotated[Scalar, "N m", "differential torque"]
-    tau_long: Annotated[Scalar, "N m", "longitudinal torque"]
-    f_star: Annotated[Scalar, "-", "set point of the adhesion"]
-    segment: Annotated[Scalar, "-", "segment of the adhesion law, 1 to 3"]
-    y_ref: Annotated[Scalar, "m", "lateral set point at the true position, from which errors are counted"]
-
-
-@dataclass(frozen=True)
-class EstimatedRecord(States):
-    """Further log of one running gear with sensors: what its controllers get."""
-
-    f_le: Annotated[Scalar, "-", "adhesion of the left wheel"]
-    f_ri: Annotated[Scalar, "-", "adhesion of the right wheel"]
-    s_le: Annotated[Scalar, "-", "slip of the left wheel"]
-    s_ri: Annotated[Scalar, "-", "slip of the right wheel"]
-    y_ref: Annotated[Scalar, "m", "lateral set point at the estimated position"]
-
-
-MEASURED, MARGINS = names(Measured), names(Margins)
+RECORD = ("u_d", "du", "tau_long", "f_star", "segment", "y_ref")
+"""Names of the logged quantities of one running gear: base torque, differential torque, longitudinal torque (N m), set
+point of the adhesion (-), segment of the adhesion law (1 to 3), lateral set point at the true position (m)."""
+ESTIMATED = (*STATES, "f_le", "f_ri", "s_le", "s_ri", "y_ref")
+"""Names of the logged inputs of the controllers of one running gear in a run with sensors: states of the control model,
+adhesion and slip of left and right wheel (-), lateral set point at the estimated position (m)."""
+READ = ("y_TrAx", "psi_TrAx", "psidot_Ax")
+"""Names of the readings of one running gear: lateral displacement (m), yaw angle against the track (rad), yaw rate
+(rad/s)."""
+MEASURED = names(Measured)
+MARGINS = ("front.lateral", "front.torque", "rear.lateral", "rear.torque", "track_end", "stop_speed")
+"""Names of the distances to the limits of a run, which goes on while all are positive. "lateral" (m) is the distance to
+the largest lateral displacement. "torque" is 1, or 0 if the lateral law gives no finite number before the torque limit.
+"track_end" (m) is the distance of the front gear to the track end, "stop_speed" (m/s) its speed less the limit."""

@@ -1,14 +1,14 @@
 """Lateral guidance of a running gear: laws at 1 kHz, and slower controllers, whose torque is held between samples.
 
-A 1 kHz law is written in CasADi expressions and becomes part of the compiled loop; its gains are run-time numbers, so
-that one compiled object serves all tunings of a law. Examples are NDI, and `ZeroOrderHold`, which applies the last
-torque of a slower controller such as NMPC. Serves the paper's Fig. 4.
+A 1 kHz law such as NDI is written in CasADi expressions and becomes part of the compiled loop. Its gains are run-time
+numbers, so one compiled object serves all tunings of a law. Serves the paper's Fig. 4.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Annotated, Any, Protocol
 
 import casadi as ca
@@ -23,7 +23,7 @@ from railrepro.vehicle.parameters import Vehicle
 
 @dataclass(frozen=True)
 class GearInputs:
-    """Inputs of a 1 kHz law about its running gear, first the states of the control model."""
+    """Inputs of a 1 kHz law about its running gear. The first six are the states of the control model."""
 
     x: Annotated[Scalar, "m", "coordinate along the track"]
     psi_Ax: Annotated[Scalar, "rad", "heading of the running gear"]
@@ -32,12 +32,12 @@ class GearInputs:
     y: Annotated[Scalar, "m", "lateral displacement from the track, to the right"]
     psi: Annotated[Scalar, "rad", "yaw angle against the track, to the right"]
     xddot: Annotated[Scalar, "m/s2", "acceleration by the base torque"]
-    held: Annotated[Scalar, "N m", "torque that a slower controller gave last"]
+    held: Annotated[Scalar, "N m", "last torque of the slower controller"]
 
 
 @dataclass(frozen=True)
 class TrackInputs:
-    """Inputs of a 1 kHz law about track and set point at the position of the running gear."""
+    """Inputs of a 1 kHz law about track and set point at the position of its running gear."""
 
     psi_Tr: Annotated[Scalar, "rad", "heading of the track"]
     dpsi_dp: Annotated[Scalar, "1/m", "curvature of the track"]
@@ -70,63 +70,49 @@ class ModelInputs:
 
 
 GEAR, ROAD, MODEL = names(GearInputs), names(TrackInputs), (*names(ModelInputs), "tau_max")
-"""Names of what every 1 kHz law may use, about its running gear, about track and set point, about the vehicle."""
+"""Names of the inputs of a 1 kHz law about its running gear, about track and set point, and about the vehicle."""
 
 
-class Quantities(GearInputs, TrackInputs, ModelInputs):
-    """Argument `q` of `LateralLaw.torque`: scalar CasADi symbols (SI). Besides the attributes below there is one for
-    each state in the law's `memory` and for each of its gains."""
+class Quantities(SimpleNamespace, GearInputs, TrackInputs, ModelInputs):
+    """Argument `q` of `LateralLaw.torque`: scalar CasADi symbols (SI). Each state and each gain of the law is a further
+    attribute."""
 
     tau_max: Annotated[Scalar, "N m", "torque limit of a motor at this speed; the base torque yields to du"]
-
-    def __init__(self, known: Mapping[str, ca.SX]):
-        vars(self).update(known)
-
-    def __repr__(self) -> str:
-        return f"Quantities({', '.join(vars(self))})"
 
     def __getattr__(self, name: str) -> ca.SX:
         raise AttributeError(f"torque() asks for q.{name}; there are {list(vars(self))}", name=name, obj=self)
 
 
 class LateralLaw(Protocol):
-    """Lateral guidance law that is evaluated every millisecond: an object with a method `torque(q)`, which returns an
-    expression (CasADi SX) of the quantities q.
+    """Lateral guidance law that is evaluated every millisecond: an object with a method `torque(q)`.
 
-    Three members are optional. `memory` is a tuple with the names of its own states, which are separate for each gear
-    and start at 0. `gains()` returns a dict from name to value of numbers that can change without compiling again.
-    `ranges()` returns a dict from name to `data.Quantity`: in an exported law these gains stay within their ranges. A
-    class whose body has `alike = True` states that `torque` depends on nothing but q: it is called once for all objects
-    of this class.
+    Four members are optional. `memory` is a tuple with the names of the states of the law, which each gear has for
+    itself and which start at 0. `gains()` returns a dict from name to value of numbers that can change without
+    compiling again. `ranges()` returns a dict from name of a gain to the `data.Quantity` in which an exported law keeps
+    it. `alike = True` in the body of a class states that `torque` depends on q only, so one object stands for all.
     """
 
     def torque(self, q: Quantities) -> ca.SX | tuple[ca.SX, dict[str, ca.SX]]:
-        """Differential torque (N m, positive steers to the right), as a CasADi expression.
-
-        A law with `memory` returns a pair: the torque, and a dict from the name of a state to its next value.
-        """
+        """Differential torque (N m, positive steers to the right), a CasADi expression of the attributes of q. A law
+        with `memory` returns a pair: the torque, and a dict from the name of each state to its next value."""
 
 
 class SlowController(Protocol):
-    """Lateral guidance of one running gear that is sampled at its own `period`, a multiple of 1 ms, by `plan`.
+    """Lateral controller of one running gear that is sampled once per `period`. Two further methods are optional.
 
-    Each gear has an object of its own; the two may be of different classes with the same period.
+    `read(readings, delay)` is called before `plan` in a run with sensors. `readings` are lateral displacement (m), yaw
+    angle against the track (rad) and yaw rate (rad/s) as read. `delay` is the time from reading to torque (s).
 
-    It may have two more methods:
-
-    - `read(readings, delay)`, for a controller with a filter of its own. With sensors it is called before `plan`.
-      `readings` are lateral displacement (m), yaw angle against the track (rad) and yaw rate (rad/s) as read; `delay`
-      is the time from reading to torque (s).
-    - `compiled(loop, leader=None)`, for a controller in compiled C, called once before a run. It returns the addresses
-      of the C function of a sample (`control.cycle.SAMPLE`) and of its memory, or None if `plan` is to be called.
-      `loop`: the `Loop` of the sensors or None; `leader`: for the rear gear the controller of the front gear.
+    `compiled(loop, leader=None)` is for a controller in compiled C and is called once before a run. It returns the
+    addresses of the C function of a sample (`control.cycle.SAMPLE`) and of its memory, or None if `plan` is to be
+    called. `loop` is the `Loop` of the sensors or None; `leader`, for the rear gear, is the front controller.
     """
 
     period: float
-    """Sampling time (s), a multiple of 1 ms."""
+    """Sampling time (s), a multiple of 1 ms, the same for both gears."""
 
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
-        """Differential torque (N m) to hold until the next sample; not needed if `compiled` returns addresses.
+        """Differential torque (N m) to hold until the next sample. Not needed if `compiled` returns addresses.
 
         Args:
             x_hat (ndarray, shape (6,)): Measured or estimated state of the gear: track coordinate (m), heading (rad),
@@ -142,21 +128,20 @@ Guidance = LateralLaw | Factory
 
 @dataclass(frozen=True)
 class ZeroOrderHold:
-    """1 kHz law that holds the last differential torque of a slower controller."""
+    """1 kHz law that applies the last differential torque of a slower controller such as NMPC."""
 
     alike = True
 
     def torque(self, q: Quantities) -> ca.SX:
-        """The last differential torque of the slower controller, `q.held` (N m); `q` as in `LateralLaw.torque`."""
+        """Differential torque (N m), see `LateralLaw`."""
         return q.held
 
 
 def split(guidance) -> tuple[LateralLaw, Factory | None]:
-    """Split a guidance into a pair: its 1 kHz law, and the factory of its slower controllers or None.
+    """Split a guidance into its 1 kHz law and the factory of its slower controllers, None if it has none.
 
-    An object with the method `torque` is the law; if it is callable, it is the factory, too. Any other callable is a
-    factory, and the law is `ZeroOrderHold`. A factory takes (vehicle, route, gear) and returns a `SlowController`.
-    InputError for anything else, also for a class with `torque` instead of an object of it.
+    An object with a method `torque` is the law, and if it is callable, it is the factory, too. Any other callable is a
+    `Factory`, and the law is `ZeroOrderHold`. InputError for anything else, such as a class in place of its object.
     """
     if isinstance(guidance, type) and hasattr(guidance, "torque"):
         name = guidance.__name__
@@ -165,16 +150,14 @@ def split(guidance) -> tuple[LateralLaw, Factory | None]:
     if hasattr(guidance, "torque"):
         return guidance, factory
     if factory is None:
-        raise InputError(
-            f"guidance {guidance!r}: an object with torque(q), or a factory (vehicle, route, gear) of objects with "
-            "period and plan(), is needed"
-        )
+        needed = "an object with torque(q), or a factory (vehicle, route, gear) of objects with period and plan(), is"
+        raise InputError(f"guidance {guidance!r}: {needed} needed")
     return ZeroOrderHold(), factory
 
 
 def controllers(factory: Factory, vehicle: Vehicle, route: Route) -> tuple:
-    """Make the slower controllers of the front and the rear gear. InputError unless each is an object of its own with
-    `plan` or `compiled`, and both have one period, a whole number of ms."""
+    """Make the slower controllers of the front and the rear gear. InputError unless they are two objects, each with
+    `plan` or `compiled`, and have the same period, a whole number of ms."""
     made = tuple(factory(vehicle, route, gear) for gear in range(len(GEARS)))
     for controller in made:
         owner = f"lateral controller {type(controller).__name__}"
@@ -190,7 +173,7 @@ def controllers(factory: Factory, vehicle: Vehicle, route: Route) -> tuple:
 
 
 def check_arguments(controller: str, vehicle: Vehicle, route: Route, gear: int) -> None:
-    """Raise InputError, with the name of a controller, if an argument of its factory is invalid."""
+    """Raise InputError with the name of a controller if an argument of its `Factory` is invalid."""
     require(f"{controller}: vehicle", vehicle, Vehicle)
     require(f"{controller}: route", route, Route)
     require(f"{controller}: gear", gear, between(0, len(GEARS) - 1), whole=True)
@@ -198,23 +181,22 @@ def check_arguments(controller: str, vehicle: Vehicle, route: Route, gear: int) 
 
 @dataclass(frozen=True)
 class Signature:
-    """Equations of a 1 kHz law with the names, not the values, of its gains. Equal signatures share compiled code."""
+    """Equations of a 1 kHz law with the names, not the values, of its `gains`, and of the states in its `memory`. Laws
+    with equal signatures share compiled code."""
 
     text: str
-    """Serialised CasADi function (gear, track, memory, gains, model) -> (du (N m), next memory). All are vectors (SI)
-    in the order of `GEAR`, `ROAD`, `memory`, `gains` and `MODEL`."""
+    """Serialised CasADi function of vectors (SI): (gear, track, memory, gains, model) -> (du, next memory). They have
+    the order of `GEAR`, `ROAD`, `memory`, `gains` and `MODEL`."""
     gains: tuple[str, ...]
-    """Names of the gains."""
     memory: tuple[str, ...]
-    """Names of the states."""
 
 
 _alike: dict[tuple, Signature] = {}
-"""Signatures of classes whose objects are `alike`, see `LateralLaw`: the particles of a swarm differ in gains only."""
+"""Signatures of classes whose objects are `alike`, see `LateralLaw`. The particles of a swarm differ in gains only."""
 
 
 def gains_of(law: LateralLaw) -> dict[str, float]:
-    """Gains of a law as a dict from name to value, empty without gains. InputError if not a dict of finite numbers."""
+    """Gains of a law as a dict from name to value, empty without gains. InputError unless all are finite numbers."""
     gains = getattr(law, "gains", dict)
     gains = gains() if callable(gains) else gains
     require(f"{_owner(law)}: gains", gains, dict)
@@ -228,8 +210,8 @@ def signature(law: LateralLaw) -> Signature:
     """`Signature` of a 1 kHz law, from one call of `law.torque(q)` with CasADi symbols.
 
     Raises:
-        InputError: A gain is not a finite number, or its name is taken; torque or next state is no scalar expression;
-            the returned states are not those in `memory`; or the law uses a quantity or symbol that is not in `q`.
+        InputError: A gain is not a finite number or its name is taken; the torque or a next state is no scalar
+            expression; the states are not those of `memory`; or the law uses a symbol that is not in `q`.
     """
     owner, memory, gains = _owner(law), tuple(getattr(law, "memory", ())), tuple(gains_of(law))
     equations = type(law), getattr(type(law), "torque", None), memory, gains
@@ -243,7 +225,7 @@ def signature(law: LateralLaw) -> Signature:
             if name in known:
                 raise InputError(f"{owner}: {name!r} of its {group} is the name of another quantity already")
             known[name] = symbol
-    du, following = answer(law, Quantities(known))
+    du, following = answer(law, Quantities(**known))
     if set(following) != set(memory):
         raise InputError(f"{owner}: torque() gave memory {sorted(following)}, declared is {list(memory)}")
     states = [_scalar(following[name], f"memory {name!r}", owner) for name in memory]
@@ -251,10 +233,10 @@ def signature(law: LateralLaw) -> Signature:
     function = ca.Function("lateral", list(vectors.values()), results, {"allow_free": True})
     if function.has_free():
         raise InputError(f"{owner}: the symbols {function.get_free()} are not given to torque()")
-    found = Signature(function.serialize(), gains, memory)
-    if vars(type(law)).get("alike"):  # stated by the class itself: one that inherits it may have another torque
-        _alike[equations] = found
-    return found
+    result = Signature(function.serialize(), gains, memory)
+    if vars(type(law)).get("alike"):  # a class that inherits it may have another torque
+        _alike[equations] = result
+    return result
 
 
 def _owner(law: LateralLaw) -> str:
@@ -262,26 +244,25 @@ def _owner(law: LateralLaw) -> str:
 
 
 def answer(law: LateralLaw, q: Quantities) -> tuple[ca.SX, dict[str, ca.SX]]:
-    """Call `law.torque(q)`; returns a pair: differential torque (N m), dict from state to next value (empty without
-    memory). InputError if the law asks for an attribute that `q` lacks, uses `if`, `min` or `max` on expressions, or
-    returns something else."""
+    """Call `law.torque(q)` and return the differential torque (N m) with a dict from state to next value, empty without
+    memory. InputError if the law uses an attribute that `q` lacks, compares expressions by `if`, `min` or `max`, or
+    returns anything else."""
+    owner = _owner(law)
     try:
         result = law.torque(q)
     except AttributeError as error:
         if error.obj is not q:
             raise
-        refusal = InputError(f"{_owner(law)}: {error}")
-        raise refusal.with_traceback(error.__traceback__) from None  # it shows the line that asked
+        # the traceback shows the line of the law
+        raise InputError(f"{owner}: {error}").with_traceback(error.__traceback__) from None
     except RuntimeError as error:
-        if "truth value" not in str(error):  # what CasADi says of `if` and `max` on expressions
+        if "truth value" not in str(error):  # CasADi raises it for `if` and `max` on expressions
             raise
-        raise InputError(
-            f"{_owner(law)}: torque() compares expressions; casadi.if_else takes the place of if, casadi.fmin and "
-            "casadi.fmax that of min and max"
-        ) from None
+        needed = "casadi.if_else takes the place of if, casadi.fmin and casadi.fmax that of min and max"
+        raise InputError(f"{owner}: torque() compares expressions; {needed}") from None
     pair = result if isinstance(result, tuple) else (result, {})
     if len(pair) != 2 or not isinstance(pair[1], dict):
-        raise InputError(f"{_owner(law)}: torque() gave {pair!r}, a torque or a pair (torque, dict) is needed")
+        raise InputError(f"{owner}: torque() gave {pair!r}, a torque or a pair (torque, dict) is needed")
     return pair
 
 

@@ -1,8 +1,7 @@
 """Nonlinear and linear time-variant model predictive control of one running gear.
 
-A sample is compiled code, which the closed loop calls by itself: `planner.c` takes in the measured state, looks ahead,
-solves the problem and keeps the plan. Only the reference solver, Ipopt, is called from Python in between. Serves the
-paper's sections Nonlinear Model Predictive Control and Linear Time-Variant Model Predictive Control.
+A sample is compiled code, `planner.c`, which the closed loop calls without Python. Only the reference solver, Ipopt, is
+called from Python. Serves the paper's sections Nonlinear and Linear Time-Variant Model Predictive Control.
 """
 
 from __future__ import annotations
@@ -10,7 +9,6 @@ from __future__ import annotations
 import ctypes
 import time
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
@@ -20,7 +18,6 @@ from railrepro.control.problem import MPCSettings, Problem
 from railrepro.control.solvers import ipopt
 from railrepro.control.solvers.riccati import Horizon
 from railrepro.data import InputError, between, require
-from railrepro.estimation.sensors import Loop
 from railrepro.model.control_model import XDOT, kept_as_printed, parameter_vector
 from railrepro.model.forecast import nominal_values
 from railrepro.quantities import pack
@@ -28,34 +25,27 @@ from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle
 
 LINEAR, REAL_TIME, CONVERGED = range(3)
-"""Modes of planner.c: one linear time-variant QP, one real-time iteration, Newton iterations until convergence."""
+"""Modes of planner.c: one linear time-variant QP, one real-time iteration, or Newton iterations until convergence."""
 SOLVERS = {"gauss_newton": CONVERGED, "rti": REAL_TIME, "ipopt": CONVERGED}
-
-
-class Solve(NamedTuple):
-    """Record of a call of `PredictiveController.plan`: processor time of the call (s), iterations of the solver."""
-
-    seconds: float
-    iterations: int
 
 
 @dataclass
 class PredictiveController:
-    """Predictive controller of one gear (0 front, 1 rear), see `lateral.SlowController`; base of `NMPC` and `LTVMPC`.
+    """Predictive controller of one gear (0 front, 1 rear), see `lateral.SlowController`. Base of `NMPC` and `LTVMPC`.
 
-    When a problem cannot be solved, the previous plan is used, one step later, and `fallbacks` counts it.
+    When a problem cannot be solved, the controller follows the plan of the sample before, and `fallbacks` counts it.
 
     Attributes:
-        stats (list of Solve): One record per call of `plan`; samples in compiled C leave none.
+        stats (list of tuple): Processor time (s) and iterations of each call of `plan`.
+        period (float): Sampling time (s).
         plan_du (ndarray, shape (L,)): Differential torques of the last plan (N m), L = `settings.steps`.
         horizon (Horizon): Problem, trajectory and solver in compiled code.
-        nominal (ndarray, shape (3,)): Vehicle data of the forecast, in the order of `model.forecast.NOMINAL` (SI).
+        nominal (ndarray, shape (3,)): Vehicle data of the forecast in the order of `model.forecast.NOMINAL` (SI).
         c (ctypes.Structure): Memory in C, `horizon_t` of riccati.c.
-        mode (int): `LINEAR` (one QP), `REAL_TIME` (one Newton iteration) or `CONVERGED` (until convergence).
-        drive (ndarray): Fields of `vehicle.parameters.Drive` (SI), from which the torque limit follows.
+        drive (ndarray): Fields of `vehicle.parameters.Drive` (SI), which determine the torque limit.
     """
 
-    mode = CONVERGED  # not an argument, so without annotation
+    mode = CONVERGED  # one of the modes of planner.c; without annotation, as it is no argument
 
     vehicle: Vehicle
     route: Route
@@ -65,8 +55,8 @@ class PredictiveController:
     def __post_init__(self) -> None:
         require("MPC: settings", self.settings, MPCSettings)
         lateral.check_arguments(type(self).__name__, self.vehicle, self.route, self.gear)
-        self.stats: list[Solve] = []
-        s = self.settings
+        self.stats: list[tuple[float, int]] = []
+        s, self.period = self.settings, self.settings.period
         self.parameters = parameter_vector(self.vehicle)
         self.nominal = nominal_values(self.vehicle, self.gear, printed="D4" in kept_as_printed(s.variant))
         self.horizon = Horizon(s, self.nominal, self.parameters, self.route)
@@ -76,35 +66,28 @@ class PredictiveController:
         self.c.drive, self.c.mode = self.drive.ctypes.data, self.mode
 
     @property
-    def period(self) -> float:
-        """Sampling time (s)."""
-        return self.settings.period
-
-    @property
     def fallbacks(self) -> int:
         """Number of samples so far whose problem could not be solved."""
         return self.c.fallbacks
 
     def problem(self, x_hat: np.ndarray, u_d: float) -> Problem:
-        """The `Problem` that a sample solves, at a measured state (6,) (SI) and a base torque (N m). The offset
-        observer is left out."""
+        """The `Problem` of a sample at a measured state (6,) (SI) and a base torque (N m), without offset observer."""
         x_hat, u_d = self._checked(x_hat, u_d if self.settings.informed else 0.0)
         limit = self.vehicle.drive.limit(x_hat[XDOT] / self.vehicle.wheel.radius)
         return Problem(self.settings, x_hat, u_d, self.horizon.forecast(x_hat, u_d), self.parameters, limit)
 
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
-        """Solve one sample and return the differential torque (N m). `x_hat` is the measured state, shape (6,) (SI);
-        `u_d` is the base torque per wheel (N m). InputError unless both are finite numbers."""
+        """Solve one sample and return the differential torque (N m), see `lateral.SlowController.plan`. InputError
+        unless `x_hat` and `u_d` are finite numbers."""
         begin = time.thread_time()
         self._measured[:], u_d = self._checked(x_hat, u_d)
         torque = self._torque(ctypes.c_void_p(self._measured.ctypes.data), ctypes.c_double(u_d))
-        self.stats.append(Solve(time.thread_time() - begin, self.c.iterations))
+        self.stats.append((time.thread_time() - begin, self.c.iterations))
         return torque
 
-    def compiled(self, _loop: Loop | None, _leader: object = None) -> tuple[int, int] | None:
-        """Addresses (C function of a sample, its memory) as ints, see `lateral.SlowController`. The arguments are not
-        used. None with Ipopt, which is called from Python, and for other classes than `NMPC` and `LTVMPC`, whose `plan`
-        may differ."""
+    def compiled(self, _loop: object, _leader: object = None) -> tuple[int, int] | None:
+        """Addresses of the C function of a sample and of its memory, see `lateral.SlowController`. None with Ipopt,
+        which is called from Python, and for a derived class, whose `plan` may differ."""
         if type(self) not in (NMPC, LTVMPC) or (isinstance(self, NMPC) and self.solver == "ipopt"):
             return None
         return ctypes.cast(self._library.planner_sample, ctypes.c_void_p).value or 0, ctypes.addressof(self.c)
@@ -120,10 +103,10 @@ class PredictiveController:
 
 @dataclass
 class NMPC(PredictiveController):
-    """Nonlinear MPC of one running gear: `plan` returns the torque once a `period`, see `PredictiveController`.
+    """Nonlinear MPC of one running gear, see `PredictiveController`. All solvers minimise the same cost.
 
-    `solver` is "gauss_newton" (default): Newton iterations until convergence; "rti": real-time iteration, one per
-    sample, prepared before the state is measured; or "ipopt": slower, to compare with. All minimise the same cost.
+    `solver` is "gauss_newton" (default), Newton iterations until convergence; "rti", real-time iteration: one Newton
+    iteration per sample, prepared before the state is measured; or "ipopt", the slow reference.
     """
 
     solver: str = "gauss_newton"
@@ -145,10 +128,10 @@ class NMPC(PredictiveController):
 
 @dataclass
 class LTVMPC(PredictiveController):
-    """Linear time-variant MPC of one running gear: the model is linearised along the forecast; one QP per sample.
+    """Linear time-variant MPC of one running gear: one QP per sample, with the model linearised along the forecast.
 
-    With `printed` False the linearisation is about centred riding along the track and keeps its affine term. With True
-    it is as in the paper: about a yaw angle of zero, without the affine term (erratum D6).
+    By default the linearisation is about centred riding along the track and keeps its affine term. With `printed` it is
+    about a yaw angle of zero and drops the affine term, as in the paper (erratum D6).
     """
 
     printed: bool = False

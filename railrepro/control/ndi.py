@@ -1,9 +1,9 @@
 """Nonlinear dynamic inversion of the lateral running-gear dynamics, the comparison controller of the paper.
 
 The lateral position has relative degree three: y' = v psi_r, psi_r' = psi_Ax' - v kappa, and the yaw equation contains
-the differential torque. The inverse of the corrected control model turns a wanted third derivative of y into du. The
-track geometry at the present position is known to it (as to the MPC), preview is not. Serves the paper's section
-Multi-Body Simulation Results (comparison after Grether 2018 and Heckmann 2020).
+the differential torque du. The inverse of the corrected control model computes du from the desired third derivative of
+y. It knows the track at the present position and has no preview. Serves the paper's section Multi-Body Simulation
+Results (comparison after Grether 2018 and Heckmann 2020).
 """
 
 from __future__ import annotations
@@ -20,8 +20,7 @@ from railrepro.data import Quantity, above, between, check_fields
 
 @dataclass(frozen=True)
 class NDI:
-    """Dynamic inversion: the differential torque gives the lateral error linear third-order dynamics with chosen
-    poles."""
+    """Lateral law by dynamic inversion, which gives the lateral error linear third-order dynamics with chosen poles."""
 
     pole: Annotated[float, above(0.0, 1e4, "rad/s")] = 30.0
     """Magnitude of the real pole of the error dynamics (rad/s)."""
@@ -30,9 +29,9 @@ class NDI:
     damping: Annotated[float, above(0.0, 1e4)] = 1.0
     """Damping ratio of the complex pole pair (-)."""
     integral: Annotated[float, between(0.0, 1e4)] = 0.0
-    """Integral gain ki divided by (k0 pole) (-), see `gains`; 0: no integral action."""
+    """Integral gain ki over (k0 pole) (-), see `gains`. 0: no integral action."""
     rates: bool = False
-    """Whether the first three derivatives of the set point are fed forward; False is how the paper is read."""
+    """Whether the first three derivatives of the set point are fed forward. As we read the paper, they are not."""
 
     alike = True
     memory = ("integral",)
@@ -42,38 +41,29 @@ class NDI:
         check_fields(self)
 
     def gains(self) -> dict[str, float]:
-        """Gains of the law as a dict: "k0" (1/s^3), "k1" (1/s^2), "k2" (1/s), "ki" (1/s^4), "ff" (0 or 1).
-
-        The polynomial s^3 + k2 s^2 + k1 s + k0 has the three poles given by `pole`, `frequency` and `damping`. ki acts
-        on the integral of the error; ff is 1 with `rates`.
-        """
+        """Gains of the law by name: k0 (1/s^3), k1 (1/s^2), k2 (1/s), ki (1/s^4), ff (-). The error dynamics have the
+        characteristic polynomial s^3 + k2 s^2 + k1 s + k0. ki multiplies the integral of the error. ff is 1 with
+        `rates`, else 0."""
         w, z, a = self.frequency, self.damping, self.pole
-        k0 = a * w**2
-        return {
-            "k0": k0,
-            "k1": w**2 + 2 * z * w * a,
-            "k2": 2 * z * w + a,
-            "ki": self.integral * self.pole * k0,
-            "ff": float(self.rates),
-        }
+        k0, k1, k2 = a * w**2, w**2 + 2 * z * w * a, 2 * z * w + a
+        return {"k0": k0, "k1": k1, "k2": k2, "ki": self.integral * a * k0, "ff": float(self.rates)}
 
     @staticmethod
     def ranges() -> dict[str, Quantity]:
-        """Range of each gain, see `lateral.LateralLaw`: what fields within their ranges give."""
+        """Range of each gain, see `lateral.LateralLaw`. It follows from the ranges of the fields."""
         most = NDI(1e4, 1e4, 1e4, 1e4, rates=True).gains()
         return {name: (between if name in ("ki", "ff") else above)(0.0, most[name], "") for name in most}
 
     def torque(self, q: lateral.Quantities) -> tuple[ca.SX, dict[str, ca.SX]]:
-        """Pair: differential torque (N m), not yet limited, and the dict {"integral": next integral of y* - y (m s)}.
-        The integral keeps its value while |differential torque| reaches the torque limit `q.tau_max`. `q` is as in
-        `lateral.LateralLaw.torque`."""
+        """Differential torque before its limit (N m), and next memory, see `lateral.LateralLaw.torque`. The integral
+        stays constant while the torque is beyond the limit `q.tau_max`."""
         du = inverse(wanted_jerk(q), q)
         free = ca.fabs(du) < q.tau_max
         return du, {"integral": q.integral + ca.if_else(free, CONTROL_PERIOD * (q.y_ref - q.y), 0)}
 
 
 def wanted_jerk(q: lateral.Quantities) -> ca.SX:
-    """Third time derivative of y (m/s^3) that the gains of `NDI` ask for. `q` is as in `lateral.LateralLaw.torque`."""
+    """Third time derivative of y (m/s^3) that the gains of `NDI` demand. `q` is as in `lateral.LateralLaw.torque`."""
     psidot_r = q.yaw_rate - q.v * q.dpsi_dp
     ydot = q.v * q.psi
     yddot = q.v * psidot_r + q.xddot * q.psi
@@ -92,9 +82,9 @@ def wanted_jerk(q: lateral.Quantities) -> ca.SX:
 def inverse(jerk: ca.SX, q: lateral.Quantities) -> ca.SX:
     """Differential torque (N m) at which y has the third time derivative `jerk` (m/s^3).
 
-    `q` is as in `lateral.LateralLaw.torque`. Two moments are left out: the yaw stiffness by gravity, 1 % of the yaw
-    stiffness of the springs, and the yaw moment of a base torque on unequal rolling radii or a rolled axle. Source:
-    corrected yaw equation to first order (`railrepro.model.derivation.equations`).
+    `q` is as in `lateral.LateralLaw.torque`. The yaw equation is the corrected one of `railrepro.model.derivation` to
+    first order. It neglects the yaw stiffness by gravity, 1 % of that by springs, and the yaw moment of the base torque
+    on unequal rolling radii or a rolled axle.
     """
     ydot, psidot_r = q.v * q.psi, q.yaw_rate - q.v * q.dpsi_dp
     psiddot_r = (jerk - 2 * q.xddot * psidot_r) / ca.fmax(q.v, 1.0)

@@ -1,12 +1,10 @@
-"""The optimal control problem of nonlinear and linear time-variant MPC, stated once: all solvers are derived from it.
+"""The optimal control problem of nonlinear and linear time-variant MPC, stated once for all solvers.
 
 Minimise over the differential torques du_0 … du_(L-1) of one running gear
-sum T |x_k - x_d,k|_Q^2 + T R du_k^2 + T |x_L - x_d,L|_QL^2 with QL = Q diag(0,0,0,0,q,q), with the states of the
-prediction model, torques within their limits, and the lateral position within a bound that is soft (a quadratic cost on
-the slack), so that no state makes it infeasible.
-
-The costs are expressions: they take numbers or CasADi symbols, and `Tuning` names what they weigh with. Serves
-eqs. (31) and (32) of the paper.
+sum T |x_k - x_d,k|_Q^2 + T R du_k^2 + T |x_L - x_d,L|_QL^2 with QL = Q diag(0,0,0,0,q,q).
+The states x_k obey the prediction model, and torques stay within their limits. The bound of the lateral position is
+soft: exceeding it costs the square of the slack, so no state makes the problem infeasible. The functions for costs take
+numbers or CasADi expressions. Source: eqs. (31) and (32) of the paper.
 """
 
 from __future__ import annotations
@@ -21,34 +19,22 @@ from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile.codegen import stored
 from railrepro.compile.reciprocals import share_reciprocals
 from railrepro.data import InputError, above, between, check_fields, require
-from railrepro.model.control_model import (
-    INPUTS,
-    PSI_TRAX,
-    STATES,
-    TAU_LE,
-    TAU_RI,
-    THETA,
-    Y,
-    control_model,
-    discretise,
-)
+from railrepro.model.control_model import PSI_TRAX, STATES, TAU_LE, TAU_RI, THETA, Y, control_model, discretise
 from railrepro.model.forecast import Forecast
 from railrepro.model.parameters import PARAMETERS
 from railrepro.quantities import symbols
 from railrepro.vehicle.parameters import Drive
 
-_WEIGHTS = ("q_x", "q_psi_Ax", "q_xdot", "q_psidot_Ax", "q_y_TrAx", "q_psi_TrAx")
-TUNING = (*_WEIGHTS, "r", "q_terminal", "period", "lateral_bound", "bound_weight")
-"""Names of the entries of a tuning vector: those fields of `MPCSettings` that weigh costs or bound states."""
 LARGEST_WEIGHT = 1e9
-"""Largest weight of a state over that of y (1/m^2)."""
-WEIGHTS = dict.fromkeys(_WEIGHTS, between(0.0, LARGEST_WEIGHT)) | {"q_y_TrAx": above(0.0, LARGEST_WEIGHT)}
-"""Range of each weight of a state, by its name in `TUNING`."""
+WEIGHTS = {f"q_{name}": (above if name == "y_TrAx" else between)(0.0, LARGEST_WEIGHT) for name in STATES}
+"""Range of the weight of each state by its name, such as "q_x". The weight of y_TrAx must be above 0."""
+TUNING = (*WEIGHTS, "r", "q_terminal", "period", "lateral_bound", "bound_weight")
+"""Names of the entries of a tuning vector: weights of the states, then fields of `MPCSettings`."""
 
 
 class Tuning(NamedTuple):
-    """Weights and bounds of the optimal control problem, as numbers or CasADi expressions. The fields are those of
-    `MPCSettings` with the same names; `q` (6,) is its `q_diag`."""
+    """Weights and bounds of the optimal control problem, as numbers or CasADi expressions. `q` (6,) is
+    `MPCSettings.q_diag`; the other fields have the same names there."""
 
     q: Any
     r: Any
@@ -64,53 +50,49 @@ class Tuning(NamedTuple):
 
 
 def stage_cost(x, x_d, slack, t: Tuning):
-    """Cost (s) of a state before the last one, with the weights `t`; the torque is not included. Source: eq. (31). `x`
-    and `x_d` are state and desired state, shape (6,) (SI); `slack` (m) is the excess over the lateral bound."""
+    """Cost (s) of a state x (6,) before the last one, without the torque. x_d (6,) is the desired state and `slack` (m)
+    the excess over the lateral bound. Source: eq. (31)."""
     return ca.dot(t.q * t.period, (x - x_d) ** 2) + slack_cost(slack, t)
 
 
 def terminal_cost(x, x_d, slack, t: Tuning):
-    """Cost (s) of the last state: only y and psi_TrAx count. Arguments as in `stage_cost`. Source: eq. (32)."""
-    weighed = [t.q[i] * t.period * t.q_terminal * (x[i] - x_d[i]) ** 2 for i in (Y, PSI_TRAX)]
-    return sum(weighed) + slack_cost(slack, t)
+    """Cost (s) of the last state, with arguments as in `stage_cost`. Only y and psi_TrAx count. Source: eq. (32)."""
+    weighted = [t.q[i] * t.period * t.q_terminal * (x[i] - x_d[i]) ** 2 for i in (Y, PSI_TRAX)]
+    return sum(weighted) + slack_cost(slack, t)
 
 
 def effort_cost(du, t: Tuning):
-    """Cost (s) of a differential torque `du` (N m) over one time step, with the weights `t`. Source: eq. (31)."""
+    """Cost (s) of a differential torque `du` (N m) over one time step. Source: eq. (31)."""
     return t.r * t.period * du**2
 
 
 def slack_cost(slack, t: Tuning):
-    """Cost (s: a number per second times the time step) of exceeding the lateral bound by `slack` (m) at one state."""
+    """Cost (s) of an excess of `slack` (m) over the lateral bound at one state."""
     return t.bound_weight * t.q[Y] * t.period * slack**2
 
 
 def lateral_excess(x, t: Tuning) -> tuple:
-    """Excess of y over the upper and the lower lateral bound of `t` at a state x (6,): (y - bound, -y - bound) (m)."""
+    """Excess (m) of y over the upper and over the lower lateral bound at a state x (6,): (y - bound, -y - bound)."""
     return x[Y] - t.lateral_bound, -x[Y] - t.lateral_bound
 
 
 def slack_on(side, x, t: Tuning):
-    """Slack (m) at a state x (6,): for `side` 1 (upper bound) y - bound, for -1 (lower) -y - bound, for 0 (none) 0."""
+    """Excess (m) of y over the active lateral bound at a state x (6,): `side` is 1 (upper), -1 (lower) or 0 (none)."""
     return side * (x[Y] - side * t.lateral_bound)
 
 
 @stored
 def dynamics(variant: str, discretisation: str) -> ca.Function:
-    """CasADi function of one time step of the prediction model with its derivatives (SI).
+    """Make one time step of the prediction model as a CasADi function (SI). Its arguments are as in `MPCSettings`.
 
     It maps (state x[6], differential torque du, base torque u_d, theta[9], par[14], step T, affine) to the next state
     x_next[6], its derivative A by x, sparse (6, 6), and its derivative B by du [6]. With affine = 1, x_next is the next
     state of the model. With affine = 0 it is A x + B u, the printed linear model without affine term (D6).
-
-    Args:
-        variant, discretisation (str): As in `MPCSettings`.
     """
     step = discretise(control_model(variant), discretisation)
     x, du, u_d, affine = ca.SX.sym("x", len(STATES)), ca.SX.sym("du"), ca.SX.sym("u_d"), ca.SX.sym("affine")
     theta, par, period = ca.SX.sym("theta", len(THETA)), ca.SX.sym("par", len(PARAMETERS)), ca.SX.sym("T")
-    torques = {"tau_ri": u_d - du, "tau_le": u_d + du}
-    x_next, a, by_torque = step(x, ca.vertcat(*(torques[name] for name in INPUTS)), theta, par, period)
+    x_next, a, by_torque = step(x, ca.vertcat(u_d - du, u_d + du), theta, par, period)  # right wheel, left wheel
     by_ri, by_le = by_torque[:, TAU_RI], by_torque[:, TAU_LE]
     b, common = ca.densify(by_le - by_ri), by_ri + by_le
     linear = ca.mtimes(a, x) + b * du + common * u_d
@@ -122,7 +104,7 @@ def dynamics(variant: str, discretisation: str) -> ca.Function:
 
 @stored
 def torque_limit() -> ca.Function:
-    """CasADi function (speed (m/s), par in the order of `PARAMETERS`, fields of `Drive` (SI)) -> torque limit (N m)."""
+    """Make a CasADi function (speed (m/s), par as `PARAMETERS`, fields of `Drive`) -> torque limit of a motor (N m)."""
     speed, par = ca.SX.sym("speed"), ca.SX.sym("par", len(PARAMETERS))
     numbers, drive = symbols(Drive, "drive")
     limit = drive.limit(speed / par[PARAMETERS.index("r_0")])
@@ -131,10 +113,10 @@ def torque_limit() -> ca.Function:
 
 @dataclass(frozen=True)
 class MPCSettings:
-    """Settings of a predictive controller: weights, horizon, prediction model, bounds. InputError for a wrong value."""
+    """Settings of a predictive controller: weights, horizon, prediction model, bounds. InputError if one is invalid."""
 
     q_diag: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
-    """Diagonal of Q, 6 numbers in the order of the states (1/m^2, 1/rad^2, s^2/m^2, s^2/rad^2, 1/m^2, 1/rad^2)."""
+    """Diagonal of Q: weights of the six states (1/m^2, 1/rad^2, s^2/m^2, s^2/rad^2, 1/m^2, 1/rad^2)."""
     r: Annotated[float, above(0.0, 1e9, "1/(N m)^2")] = 1e-11
     """Weight R of du^2 (1/(N m)^2)."""
     q_terminal: Annotated[float, between(0.0, 1e9)] = 1.0
@@ -142,23 +124,23 @@ class MPCSettings:
     period: Annotated[float, above(0.0, 1.0, "s")] = 0.010
     """Time step T and sampling time (s), a whole number of ms."""
     steps: Annotated[int, between(2, 1000)] = 30
-    """Horizon length L, number of time steps."""
+    """Number L of time steps of the horizon."""
     discretisation: str = "rk4"
-    """Integration method: "euler", "midpoint" or "rk4", see `railrepro.model.control_model.discretise`."""
+    """Integration method: "euler", "midpoint" or "rk4"."""
     variant: str = "corrected"
-    """Variant of prediction model and forecast, see `railrepro.model.control_model.control_model`."""
+    """Variant of prediction model and forecast, see `model.control_model.control_model`."""
     lateral_bound: Annotated[float, above(0.0, 1.0, "m")] = 8e-3
     """Soft bound of |y_TrAx| (m)."""
     bound_weight: Annotated[float, between(0.0, 1e9)] = 100.0
-    """Weight of the squared slack of the lateral bound over the weight of y (-)."""
+    """Weight of the squared slack of the lateral bound, relative to the weight of y (-)."""
     yielding: bool = True
     """True: |du| may use the whole motor torque, and the base torque yields, as in `allocate`. False: |du| is limited
-    to what the base torque leaves, as printed, which is nothing when the base torque is at its limit (D10)."""
+    to the torque that the base torque leaves, as printed. At the limit of the base torque this is 0 (D10)."""
     informed: bool = True
-    """Whether forecast and prediction model know the base torque; False: they take it as 0."""
+    """Whether forecast and prediction model know the base torque. False: they assume 0."""
     observer: Annotated[float, between(0.0, 1.0)] = 0.0
-    """Gain of the offset observer (-). It estimates the angle between axle and direction of motion (creep, rad): each
-    sample adds gain * (y - predicted y)/(v T). 0: no such estimate, as in the paper, and the prediction drifts."""
+    """Gain of the offset observer (-). It estimates the creep angle between axle and direction of motion (rad): each
+    sample adds gain (y - predicted y)/(v T). 0: no observer, as in the paper."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -171,23 +153,15 @@ class MPCSettings:
             require(f"MPCSettings: q_diag, {name}", weight, allowed)
 
     def tuning(self) -> np.ndarray:
-        """These settings as a vector in the order of `TUNING`, in the units of the fields."""
+        """The tuning vector: weights and bounds in the order of `TUNING`, in the units of the fields."""
         rest = (getattr(self, name) for name in TUNING[len(STATES) :])
         return np.array([*self.q_diag, *rest], dtype=float)
 
 
 @dataclass(frozen=True)
 class Problem:
-    """One optimal control problem with all its numbers, so that any solver can solve it again.
-
-    Attributes:
-        settings (MPCSettings): Weights, horizon, bounds.
-        x_hat (ndarray, shape (6,)): Measured state (SI).
-        u_d (float): Base torque per wheel (N m).
-        ahead (Forecast): Desired states and track over the horizon.
-        parameters (ndarray, shape (14,)): In the order of `model.parameters.PARAMETERS` (SI).
-        tau_max (float): Torque limit of a motor (N m).
-    """
+    """One optimal control problem with all its numbers (SI): settings, measured state (6,), base torque per wheel,
+    forecast, parameters (14,) in the order of `model.parameters.PARAMETERS`, torque limit of a motor."""
 
     settings: MPCSettings
     x_hat: np.ndarray
@@ -198,5 +172,5 @@ class Problem:
 
     @property
     def bound(self) -> float:
-        """Largest |du| (N m): `tau_max`, or without `yielding` tau_max - |u_d|, at least 0. Source: eq. (31)."""
+        """Largest |du| (N m): `tau_max`, or without `yielding` max(tau_max - |u_d|, 0). Source: eq. (31)."""
         return self.tau_max if self.settings.yielding else max(self.tau_max - abs(self.u_d), 0.0)

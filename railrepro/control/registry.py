@@ -1,6 +1,6 @@
-"""The lateral controllers by name, and their tuned parameters: from a name to a guidance law. A new controller is one
-entry in `CONTROLLERS`. Its parameters are those of data/tuned, one file per setting and controller, or those that
-data/tuning.toml gives. Serves the paper's section Multi-Body Simulation Results."""
+"""The lateral controllers by name, and their tuned parameters. A new controller is one entry of `CONTROLLERS`. Tuned
+parameters are in data/tuned, one file per setting and controller; data/tuning.toml has those that a designer chose.
+Serves the paper's section Multi-Body Simulation Results."""
 
 from __future__ import annotations
 
@@ -20,40 +20,39 @@ from railrepro.model.control_model import STATES
 
 TUNED = "data/tuned"
 SETTINGS = ("paper", "loop")
-"""The two settings of comparison. "paper": perfect measurements, dry rail. "loop": sensors, all rails. In both every
-controller keeps the same stability margin, see data/tuning.toml."""
+"""The settings in which controllers are tuned and compared. "paper": perfect measurements, dry rail. "loop": sensors,
+rails of all kinds. In both all controllers have the same least stability margin, see data/tuning.toml."""
 PAPER, LOOP = SETTINGS
 
 
 @dataclass(frozen=True)
 class Controller:
-    """Entry of `CONTROLLERS`: how a lateral controller is made from its tuning parameters."""
+    """Entry of `CONTROLLERS`: how a lateral controller is made from its tuning parameters.
+
+    Attributes:
+        build (callable): Function settings -> guidance for `simulate.run`, a 1 kHz law or a factory.
+        settings (callable): Function from a dict of tuning parameters to settings, such as `MPCSettings` or `NDI`.
+        preview (bool): Whether the controller knows set point and track ahead.
+        quick (dict): Argument `options` of `guidance` for studies: a faster solver with nearly the same torques.
+        needed (tuple of str): Names of the tuning parameters that have no default.
+    """
 
     build: Callable
-    """Function: settings -> guidance for `simulate.run`, a 1 kHz law or a factory of slower controllers."""
     settings: Callable
-    """Function: dict of tuning parameters -> settings, such as `MPCSettings` or `NDI`."""
     preview: bool
-    """Whether the controller knows set point and track ahead."""
     quick: dict = field(default_factory=dict)
-    """Argument `options` of `guidance` for studies with many runs: a faster solver with nearly the same torques."""
     needed: tuple[str, ...] = ()
-    """Names of the tuning parameters without which `guidance` makes none."""
 
 
-_POLES = ("pole", "frequency", "damping")
 _RANGES = dict.fromkeys(("q_psi_TrAx", "q_psidot_Ax"), above(0.0, LARGEST_WEIGHT))
 _RANGES |= {"period_ms": above(0.0, 1e3, "ms"), "horizon_s": above(0.0, 100.0, "s")}
 _MPC = (*_RANGES, "r", "q_terminal")
 
 
 def mpc_settings(parameters: dict) -> MPCSettings:
-    """`MPCSettings` from a dict of tuning parameters.
-
-    Its keys are q_psi_TrAx (1/rad^2), q_psidot_Ax (s^2/rad^2), period_ms (ms), horizon_s (s), and fields of
-    `MPCSettings` such as r. y_TrAx has the weight 1/m^2, other states 0. The number of steps, horizon_s / period, is
-    limited to 5 to 100.
-    """
+    """Make `MPCSettings` from a dict of tuning parameters: q_psi_TrAx (1/rad^2), q_psidot_Ax (s^2/rad^2), period_ms,
+    horizon_s, and fields of `MPCSettings` such as r. The weight of y_TrAx is 1/m^2, and that of other states 0. The
+    horizon is limited to 5 to 100 steps."""
     p = dict(parameters)
     for name, allowed in _RANGES.items():
         require(f"MPC: {name}", p[name], allowed)
@@ -65,17 +64,12 @@ def mpc_settings(parameters: dict) -> MPCSettings:
 
 @dataclass(frozen=True)
 class Predictive:
-    """Factory (vehicle, route, gear) of predictive controllers.
-
-    Attributes:
-        controller (type): The class `NMPC` or `LTVMPC`.
-        settings (MPCSettings): Settings of the controllers of both gears.
-        options (tuple): Pairs (name, value): further arguments of the class.
-    """
+    """Factory (vehicle, route, gear) of predictive controllers of one class with the same settings for both gears."""
 
     controller: type
     settings: MPCSettings
     options: tuple = ()
+    """Further arguments of the class: pairs (name, value)."""
 
     def __call__(self, vehicle, route, gear: int):
         return self.controller(vehicle, route, gear, self.settings, **dict(self.options))
@@ -87,13 +81,19 @@ def _predictive(kind: type, quick: dict | None = None, **options) -> Controller:
 
 
 def _inversion(*more: str, **fixed) -> Controller:
-    return Controller(lambda settings: settings, lambda given: NDI(**given, **fixed), False, needed=(*_POLES, *more))
+    needed = ("pole", "frequency", "damping", *more)
+    return Controller(lambda settings: settings, lambda given: NDI(**given, **fixed), False, needed=needed)
+
+
+def _lqg(parameters: dict):
+    """`LqgPreview`, imported on demand, because the paper's controllers must not depend on this one."""
+    return resolve_name("railrepro.own.lqg:LqgPreview")(**parameters)
 
 
 NOTHING = "nothing"
-"""Name of the controller that gives no differential torque, the baseline of scores. It has no parameters."""
+"""Name of the controller whose differential torque is always 0, the baseline of scores. It has no parameters."""
 OURS = "lqg_preview"
-"""Name of the controller of this project, which the paper does not have; no claim is judged with it."""
+"""Name of the controller of this project. The paper does not have it, so no statement is judged with it."""
 CONTROLLERS = {
     "nmpc": _predictive(NMPC, {"solver": "rti"}),
     "nmpc_observer": replace(_predictive(NMPC, {"solver": "rti"}), needed=(*_MPC, "observer")),
@@ -102,47 +102,37 @@ CONTROLLERS = {
     "ndi": _inversion(),
     "ndi_feedforward": _inversion(rates=True),
     "ndi_integral": _inversion("integral", rates=True),
-    # imported when it is asked for, so that the paper's controllers do not stand on ours
-    OURS: Controller(
-        lambda settings: settings,
-        lambda parameters: resolve_name("railrepro.own.lqg:LqgPreview")(**parameters),
-        True,
-        needed=("change",),
-    ),
-    NOTHING: Controller(lambda settings: ZeroOrderHold(), dict, False),  # the torque of none, which is 0
+    OURS: Controller(lambda settings: settings, _lqg, True, needed=("change",)),
+    NOTHING: Controller(lambda settings: ZeroOrderHold(), dict, False),
 }
 INVERSIONS = ("ndi", "ndi_feedforward", "ndi_integral")
 BY_SWARM = tuple(f"{name}_swarm" for name in INVERSIONS)
-"""The inversions with the poles that a swarm found. In the setting "loop" `INVERSIONS` themselves have these."""
+"""The inversions with poles by the swarm. In the setting "loop" the `INVERSIONS` themselves have these poles."""
 CONTROLLERS |= {f"{name}_swarm": CONTROLLERS[name] for name in INVERSIONS}
 REPLICATED = ("nmpc", "nmpc_observer", "ltv_mpc", "ltv_mpc_printed", *INVERSIONS)
 """The paper's methods and their variants, in the order in which chapters show them."""
 SHOWN = (*REPLICATED, OURS)
 PAPER_TRIO = ("nmpc", "ltv_mpc_printed", "ndi")
 """The three methods of the paper, LTV-MPC as printed."""
-COMPARED = ("nmpc", "ltv_mpc", "ltv_mpc_printed", "ndi")
-"""The paper's methods, LTV-MPC both corrected and as printed."""
-WITH_OBSERVER, OBSERVER = "nmpc_observer", 0.05
-"""Name of the NMPC with an offset observer, and the observer's gain, see `MPCSettings.observer`."""
+OBSERVER = 0.05
+"""Gain of the offset observer of "nmpc_observer", see `MPCSettings.observer`."""
 EMPHASIS = 10.0
-"""Factor on R of NMPC where the longitudinal task counts more (Fig. 8)."""
+"""Factor on the weight R of NMPC where the longitudinal task has priority (Fig. 8)."""
 
 
 def with_r_times(parameters: dict, factor: float) -> dict:
-    """Copy of a dict of tuning parameters in which "r", the weight of the torque, is multiplied by `factor`."""
+    """Copy of a dict of tuning parameters with the weight "r" of the torque multiplied by `factor`."""
     return parameters | {"r": factor * parameters["r"]}
 
 
 def guidance(name: str, parameters: dict, options: dict | None = None, **changes):
-    """Make a lateral controller for `simulate.run`: an object with `torque(q)`, or a factory of slower controllers.
-
-    InputError for an unknown name, or for parameters, options or changes that this controller does not take.
+    """Make a lateral controller for `simulate.run`. InputError for an unknown name or argument.
 
     Args:
         name (str): Key of `CONTROLLERS`.
         parameters (dict): Tuning parameters, see data/tuning.toml.
         options (dict, optional): Further arguments of a predictive controller, such as {"solver": "rti"}.
-        changes (optional): Fields of `MPCSettings` or `NDI` by name. They replace what follows from `parameters`.
+        changes (optional): Fields of `MPCSettings` or `NDI` that replace those from `parameters`.
     """
     require("controller", name, str)
     if name not in CONTROLLERS:
@@ -162,11 +152,9 @@ def guidance(name: str, parameters: dict, options: dict | None = None, **changes
 
 
 def read(controller: str, setting: str = PAPER, folder: Path | None = None) -> dict:
-    """Content of <controller>.json as a dict: keys "controller", "setting", "parameters", and more about the tuning.
-
-    The file is in `folder`, by default in data/tuned/<setting>. InputError if it is missing, has no "parameters", or
-    names another controller or setting.
-    """
+    """Read <controller>.json from `folder`, by default data/tuned/<setting>. Returns a dict with the keys "controller",
+    "setting" and "parameters", and with the origin of the parameters. InputError if the file is missing, has no
+    "parameters", or names another controller or setting."""
     file = (folder or paths.source(f"{TUNED}/{setting}")) / f"{controller}.json"
     if not file.exists():
         raise InputError(f"{setting}/{file.name}: there is no tuned set for {controller!r}; `make tune` makes it")
@@ -181,11 +169,8 @@ def read(controller: str, setting: str = PAPER, folder: Path | None = None) -> d
 
 
 def tuned_set(controller: str, setting: str = PAPER) -> dict:
-    """Tuned parameters of a controller as a dict with the keys "controller", "setting", "parameters".
-
-    What a designer has set (table "designed" of the setting in data/tuning.toml) comes first, else it is the content of
-    `read`. InputError if the setting is not in `SETTINGS`, or there are no parameters.
-    """
+    """Tuned parameters of a controller: a dict as from `read`. The table "designed" of the setting in data/tuning.toml
+    takes precedence over the file. InputError for an unknown setting, or if there are no parameters."""
     require("controller", controller, str)
     require("setting", setting, str)
     if setting not in SETTINGS:
@@ -198,17 +183,11 @@ def tuned_set(controller: str, setting: str = PAPER) -> dict:
 
 
 def parameters(controller: str, setting: str = PAPER) -> dict:
-    """Tuning parameters of a controller in one of `SETTINGS`, as a dict from name to value for `guidance`. InputError
-    as in `tuned_set`."""
+    """Tuned parameters of a controller: a dict from name to value for `guidance`. InputError as in `tuned_set`."""
     return tuned_set(controller, setting)["parameters"]
 
 
 def tuned(controller: str, options: dict | None = None, setting: str = PAPER, **changes):
-    """Make a lateral controller with its tuned parameters for `simulate.run`.
-
-    Args:
-        controller (str): Key of `CONTROLLERS`.
-        setting (str): "paper" or "loop", see `SETTINGS`.
-        options (dict, optional), changes: As in `guidance`.
-    """
+    """Make a lateral controller, a key of `CONTROLLERS`, with its tuned parameters for `simulate.run`. `setting` is
+    "paper" or "loop", see `SETTINGS`; `options` and `changes` are as in `guidance`."""
     return guidance(controller, parameters(controller, setting), options, **changes)

@@ -1,5 +1,5 @@
-/* Slower controllers that are functions somewhere: differential torque (N m) from their memory, states of their gear, readings
-   of it and base torque. */
+/* Slower controllers as pointers to functions: (memory, states of the gear, its readings, base torque (N m)) -> differential
+   torque (N m). */
 
 typedef double (*sample_t)(void *, const double *, const double *, double);
 typedef struct { sample_t sample; void *self; } planner_memory_t;

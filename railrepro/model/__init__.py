@@ -1,1 +1,1 @@
-"""The model that the controllers predict with, and its forecast; serves the paper's section Control-Oriented Model."""
+"""The model with which the controllers predict, and its forecast of the track ahead."""

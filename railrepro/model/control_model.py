@@ -1,6 +1,4 @@
-"""The control-oriented model as CasADi functions, continuous and discretised. State x, psi_Ax, xdot, psidot_Ax, y_TrAx,
-psi_TrAx; inputs tau_ri, tau_le (traction-positive, N m); theta holds the track at the present position. Serves the
-paper's eqs. (7) and (18) to (20)."""
+"""The control-oriented model as CasADi functions, continuous and discretised. Source: eqs. (7) and (18) to (20)."""
 
 from __future__ import annotations
 
@@ -19,7 +17,7 @@ from railrepro.vehicle.parameters import Vehicle
 
 @dataclass(frozen=True)
 class States:
-    """States of the control model of one running gear. Source: eq. (18)."""
+    """States of the control model of one running gear. Source: eq. (18) of the paper."""
 
     x: Annotated[Scalar, "m", "track coordinate"]
     psi_Ax: Annotated[Scalar, "rad", "heading"]
@@ -32,46 +30,44 @@ class States:
 STATES = names(States)
 X, PSI_AX, XDOT, PSIDOT_AX, Y, PSI_TRAX = range(len(STATES))
 INPUTS = ("tau_ri", "tau_le")
+"""Motor torques of the right and the left wheel (N m), positive in traction."""
 TAU_RI, TAU_LE = range(len(INPUTS))
 THETA = ("psi_Tr", "dpsi_dp", "phi_Tr", "dphi_dp", "eps_Tr", "deps_dp", "psi_CB", "dpsi_dp_CB", "m_CB")
-"""Heading of the track (rad) and curvature (1/m); superelevation angle and gradient (rad), each with its derivative
-along the track (rad/m); heading of the car body (rad) and its derivative (1/m); mass of the car body (kg)."""
+"""Track at the position of the gear: heading (rad), superelevation angle (rad) and gradient (rad), each followed by its
+derivative along the track (rad/m). Then heading of the car body (rad), its derivative (rad/m), body mass (kg)."""
 PSI_TR, DPSI_DP, PHI_TR, DPHI_DP, EPS_TR, DEPS_DP, PSI_CB, DPSI_DP_CB, M_CB = range(len(THETA))
 _TABLEAU = {
     "euler": ((0.0,), (1.0,)),
     "midpoint": ((0.0, 0.5), (0.0, 1.0)),
     "rk4": ((0.0, 0.5, 0.5, 1.0), (1 / 6, 1 / 3, 1 / 3, 1 / 6)),
 }
-"""Fractions of the step and weights of explicit rules whose stages each need the one before."""
+"""Explicit Runge-Kutta methods, each stage from the slope of the stage before: fractions of the step, and weights."""
 METHODS = tuple(_TABLEAU)
 
 
 def control_model(variant: str = "corrected") -> ca.Function:
-    """The control-oriented model of one running gear as a CasADi function.
+    """Make the model of one running gear: a CasADi function (x[6], u[2], theta[9], par[14]) -> dx/dt[6], in SI units.
 
-    It maps (x[6], u[2], theta[9], par[14]) to dx/dt[6] (SI). The orders are those of `STATES`, `INPUTS`, `THETA` and
-    `model.parameters.PARAMETERS`.
-
-    Args:
-        variant (str): "corrected"; "printed" (with all errata of the paper); or the errata to keep, such as "D1" or
-            "D1,D3", names in `parameters.DISCREPANCIES`. Another name raises InputError.
+    The entries of the arguments are `STATES`, `INPUTS`, `THETA` and `model.parameters.PARAMETERS`, in that order.
+    `variant` is "corrected", "printed" (all errata of the paper) or a list of the errata to keep, such as "D1" or
+    "D1,D3", from `parameters.DISCREPANCIES`. InputError for any other name.
     """
     return _rhs(tuple(sorted(kept_as_printed(variant) - {"D4"})))
 
 
 def kept_as_printed(variant: str) -> frozenset[str]:
-    """Set of the names in `parameters.DISCREPANCIES` that a model variant keeps as printed, see `control_model`."""
+    """Names of the errata that a `variant` of the model keeps as printed; argument and errors as in `control_model`."""
     if variant in ("corrected", "printed"):
         return frozenset(DISCREPANCIES if variant == "printed" else ())
     kept = frozenset(name.strip() for name in variant.split(","))
     if not kept.issubset(DISCREPANCIES):
-        known = f"corrected, printed and lists of {list(DISCREPANCIES)}"
-        raise InputError(f"model variant {variant!r} is not known; there are {known}")
+        known = f"there are corrected, printed and lists of {list(DISCREPANCIES)}"
+        raise InputError(f"model variant {variant!r} is not known; {known}")
     return kept
 
 
 def parameter_vector(vehicle: Vehicle) -> np.ndarray:
-    """Parameters of the control model for a vehicle, in the order of `parameters.PARAMETERS` (SI), shape (14,)."""
+    """Parameters of the control model for a vehicle, shape (14,), in the order of `parameters.PARAMETERS` (SI)."""
     suspension, wheel, gear = vehicle.suspension, vehicle.wheel, vehicle.gear
     wheels = 2 * wheel.diametral_inertia  # which the model adds to J_x and J_z
     values = [gear.mass, gear.mass, gear.inertia_x - wheels, gear.inertia_z - wheels]
@@ -82,7 +78,7 @@ def parameter_vector(vehicle: Vehicle) -> np.ndarray:
 
 @stored
 def _rhs(discrepancies: tuple[str, ...]) -> ca.Function:
-    """Rates of the model, from the symbolic derivation, which is imported only where a graph is not stored."""
+    """The `control_model` with these errata. SymPy is imported only where the function is not stored yet."""
     import sympy as sp
 
     from railrepro.model import derivation as d
@@ -91,7 +87,7 @@ def _rhs(discrepancies: tuple[str, ...]) -> ca.Function:
     inputs = [ca.SX.sym(name, len(of)) for name, of in entries.items()]
     (_, psi, xdot, psidot, y, psi_r), torque, theta, par = map(ca.vertsplit, inputs)
     symbols = [d.psi, d.xd, d.psid, d.y, *d.torques, *d.theta, *d.parameters]
-    # The relative yaw angle is a state of its own; the track angle that fits it keeps both consistent.
+    # The yaw angle against the track is a state of its own; this heading of the track is consistent with it.
     track = [psi - psi_r, *theta[1:]]
     mass, rest = d.equations(frozenset(discrepancies))
     functions = {"sin": ca.sin, "cos": ca.cos, "tan": ca.tan, "sqrt": ca.sqrt}
@@ -105,32 +101,25 @@ def _rhs(discrepancies: tuple[str, ...]) -> ca.Function:
 
 
 def discretise(model: ca.Function, method: str = "euler") -> ca.Function:
-    """CasADi function of one time step of a `control_model`, with inputs and track held constant. Source: eq. (7).
+    """Make one time step of a `control_model` with constant inputs and track, as a CasADi function. Source: eq. (7).
 
-    It maps (x[6], u[2], theta[9], par[14], step T (s)) to the state after T, and its Jacobians by x (6, 6) and by u (6,
-    2), both sparse (SI). InputError for another method.
-
-    Args:
-        model (casadi.Function): Function from `control_model`.
-        method (str): "euler" (as in the paper), "midpoint" or "rk4".
+    It maps (x[6], u[2], theta[9], par[14], step T (s)) to the state after T and its sparse Jacobians by x (6, 6) and by
+    u (6, 2), in SI units. `method` is "euler" (as in the paper), "midpoint" or "rk4"; InputError for another.
     """
     if method not in METHODS:
         raise InputError(f"discretisation {method!r} is not known; there are {METHODS}")
-    x, u, theta = ca.SX.sym("x", len(STATES)), ca.SX.sym("u", len(INPUTS)), ca.SX.sym("theta", len(THETA))
-    par, period = ca.SX.sym("par", len(PARAMETERS)), ca.SX.sym("T")
-    rate = model(x, u, theta, par)
-    jacobians = [ca.jacobian(rate, x), ca.jacobian(rate, u)]
-    rates = ca.Function("rates", [x, u, theta, par], [rate, *jacobians], {"cse": True})
+    x, u, theta, par = model.sx_in()
+    period, rate = ca.SX.sym("T"), model(x, u, theta, par)
+    linearised = [rate, ca.jacobian(rate, x), ca.jacobian(rate, u)]
+    rates = ca.Function("rates", [x, u, theta, par], linearised, {"cse": True})
     x_next, by_x, by_u = x, ca.SX.eye(6), ca.SX(6, 2)
-    slope: ca.SX | int = 0
-    slope_x: ca.SX | int = 0
-    slope_u: ca.SX | int = 0
+    slope, slope_x, slope_u = ca.SX(6, 1), ca.SX(6, 6), ca.SX(6, 2)
     for fraction, weight in zip(*_TABLEAU[method], strict=True):
         at = x + fraction * period * slope
         along_x, along_u = ca.SX.eye(6) + fraction * period * slope_x, fraction * period * slope_u
         slope, a, b = rates(at, u, theta, par)
-        slope_x, slope_u = ca.mtimes(a, along_x), b + (ca.mtimes(a, along_u) if fraction else 0)
+        slope_x, slope_u = ca.mtimes(a, along_x), b + ca.mtimes(a, along_u)
         x_next = x_next + weight * period * slope
         by_x, by_u = by_x + weight * period * slope_x, by_u + weight * period * slope_u
-    inputs, names = [x, u, theta, par, period], (["x", "u", "theta", "par", "T"], ["x_next", "by_x", "by_u"])
-    return ca.Function("control_step", inputs, [x_next, by_x, by_u], *names, {"cse": True})
+    inputs, labels = [x, u, theta, par, period], (["x", "u", "theta", "par", "T"], ["x_next", "by_x", "by_u"])
+    return ca.Function("control_step", inputs, [x_next, by_x, by_u], *labels, {"cse": True})

@@ -1,9 +1,10 @@
 """Symbolic derivation of the control-oriented model, as printed in the paper and corrected.
 
-Unreduced coordinates are path x, yaw psi, lateral displacement y and the two wheel angles. Rolling and the lateral
-kinematics are non-holonomic constraints on their rates. Jourdain's principle projects the unreduced equations on the
-two free rates (corrected); inserting the constraints into the energies before applying Lagrange is what the paper
-prints (discrepancy D1). Serves the paper's section Control-Oriented Model.
+The five coordinates are path x, yaw angle psi, lateral displacement y and both wheel angles. Rolling and the lateral
+kinematics are non-holonomic constraints on their rates, which leave two rates free. The corrected model is the
+projection of Lagrange's equations on the free rates (Jourdain's principle). The paper inserts the constraints into the
+energies first (erratum D1). An argument `discrepancies` is the set of the errata to keep, such as "D1". Serves the
+paper's section Control-Oriented Model.
 """
 
 from __future__ import annotations
@@ -27,19 +28,19 @@ tau_ri, tau_le = torques = sp.symbols("tau_ri tau_le")
 
 psi_r = psi - psi_Tr
 gamma = sp.tan(delta_0) / (b / 2 - r_0 * sp.tan(delta_0))
-roll = -gamma * y + phi_Tr
+roll, roll_rate = -gamma * y + phi_Tr, -gamma * yd + dphi * xd
 height = delta_0 * b / 2 * (1 / sp.cos(psi_r) - 1) - gamma * y**2 - r_0
 radius = {"ri": r_0 + sp.tan(delta_0) * y, "le": r_0 - sp.tan(delta_0) * y}
 arm = {"ri": b / 2 - y, "le": b / 2 + y}
 
 
 def along_track(expression: sp.Expr) -> sp.Expr:
-    """Derivative of an expression by the path x (per m). Track angles vary with x; their slopes count as constant."""
+    """Differentiate an expression by the path x. The angles of the track vary along x, their slopes do not."""
     return sp.diff(expression, x) + sp.diff(expression, psi_Tr) * kappa + sp.diff(expression, phi_Tr) * dphi
 
 
 def time_derivative(expression: sp.Expr, rate_of_rates: dict) -> sp.Expr:
-    """Total time derivative of an expression in coordinates and rates. `rate_of_rates`: dict rate -> acceleration."""
+    """Differentiate an expression of coordinates and rates by time. `rate_of_rates` maps a rate to its derivative."""
     total = along_track(expression) * xd
     for coordinate, rate in zip(coordinates[1:], rates[1:], strict=True):
         total += sp.diff(expression, coordinate) * rate
@@ -47,10 +48,8 @@ def time_derivative(expression: sp.Expr, rate_of_rates: dict) -> sp.Expr:
 
 
 def constraints(discrepancies: frozenset[str]) -> dict[sp.Symbol, sp.Expr]:
-    """Constraints of lateral kinematics and ideal rolling: dict from a dependent rate to its expression in xd and psid.
-
-    Its keys are yd (m/s), thd_ri and thd_le (rad/s). `discrepancies`: errata to keep, see `equations`. Eqs. (9), (12).
-    """
+    """Constraints of lateral kinematics and ideal rolling: a dict from yd (m/s), thd_ri and thd_le (rad/s) to their
+    expressions in the free rates xd and psid. Source: eqs. (9), (12)."""
     turning = psid + kappa * xd if "D3" in discrepancies else psid
     spin_ri = -(xd - arm["ri"] * turning) / radius["ri"]
     spin_le = -(xd + arm["le"] * turning) / radius["le"]
@@ -58,17 +57,14 @@ def constraints(discrepancies: frozenset[str]) -> dict[sp.Symbol, sp.Expr]:
 
 
 def wheel_rotation(spin: sp.Expr) -> sp.Matrix:
-    """Absolute angular velocity (3, 1) of a wheel about roll, axle and yaw axis (rad/s). `spin` is its speed on the
-    axle (rad/s)."""
-    roll_rate = -gamma * yd + dphi * xd
+    """Absolute angular velocity of a wheel about roll, axle and yaw axis (rad/s), shape (3, 1), from its rate `spin`
+    about the axle (rad/s)."""
     return sp.Matrix([roll_rate, spin + psid * sp.sin(roll), psid * sp.cos(roll)])
 
 
 def kinetic_energy(discrepancies: frozenset[str]) -> sp.Expr:
-    """Kinetic energy (J) as an expression of all five rates, before `constraints` reduce them to two. `discrepancies`:
-    errata to keep, see `equations`. Source: eq. (13a)."""
+    """Kinetic energy (J) as an expression of all five rates. Source: eq. (13a)."""
     height_rate = sp.diff(height, psi) * (psid - kappa * xd) + sp.diff(height, y) * yd
-    roll_rate = -gamma * yd + dphi * xd
     inertia = sp.diag(J_Wz, J_Wy, J_Wz)
     w_ri, w_le = wheel_rotation(thd_ri), wheel_rotation(thd_le)
     if "D2" in discrepancies:
@@ -80,37 +76,34 @@ def kinetic_energy(discrepancies: frozenset[str]) -> sp.Expr:
 
 
 def potential_energy(discrepancies: frozenset[str]) -> sp.Expr:
-    """Potential energy (J) of springs and weight; `discrepancies`: errata to keep, see `equations`. Eq. (13b)."""
+    """Potential energy (J) of springs and weight. Source: eq. (13b)."""
     deflection = roll if "D7" in discrepancies else roll - phi_Tr
     return (k_sz * (psi - psi_CB) ** 2 + k_sx * deflection**2) / 2 - m * g * height
 
 
 def dissipation(discrepancies: frozenset[str]) -> sp.Expr:
-    """Half the power (W) lost in both dampers; `discrepancies`: errata to keep, see `equations`. Source: eq. (13c)."""
-    roll_rate = -gamma * yd + (dphi * xd if "D7" in discrepancies else 0)
-    return (k_dz * (psid - kappa_CB * xd) ** 2 + k_dx * roll_rate**2) / 2
+    """Rayleigh dissipation function (W), half the power lost in the dampers. Source: eq. (13c)."""
+    deflection_rate = roll_rate if "D7" in discrepancies else -gamma * yd
+    return (k_dz * (psid - kappa_CB * xd) ** 2 + k_dx * deflection_rate**2) / 2
 
 
 def generalised_forces() -> tuple[sp.Expr, sp.Expr]:
-    """Pair: force along x (N) and moment about z (N m) of the motor torques, positive in traction. Source: eq. (17)
-    with the opposite sign."""
+    """Force along x (N) and moment about z (N m) of traction-positive motor torques. Source: eq. (17), other sign."""
     pull = {"ri": tau_ri / radius["ri"], "le": tau_le / radius["le"]}
     return pull["ri"] + pull["le"], arm["le"] * pull["le"] - arm["ri"] * pull["ri"]
 
 
 def lagrange(coordinate: sp.Symbol, rate: sp.Symbol, energies: tuple, rate_of_rates: dict) -> sp.Expr:
-    """Left side of Lagrange's equation, eq. (16b), of one coordinate and its rate (N or N m).
-
-    `energies`: kinetic energy, potential energy and dissipation; `rate_of_rates`: see `time_derivative`.
-    """
+    """Left side of Lagrange's equation (16b) of one coordinate and its rate (N or N m). `energies` are kinetic energy,
+    potential energy and dissipation. `rate_of_rates` maps each rate to its derivative."""
     t, v, d = energies
     by_t, by_v = (along_track(e) if coordinate == x else sp.diff(e, coordinate) for e in (t, v))
     return time_derivative(sp.diff(t, rate), rate_of_rates) - by_t + by_v + sp.diff(d, rate)
 
 
 def derivatives_first(energies: tuple, dependent: dict) -> sp.Matrix:
-    """Lagrange's equations of all five coordinates, projected on the two free rates (2, 1). `dependent`: see
-    `constraints`."""
+    """Corrected order of steps: Lagrange's equations of all five coordinates, then their projection on the two free
+    rates, shape (2, 1). `dependent` maps each dependent rate to its expression, see `constraints`."""
     free = {xd: xdd, psid: psidd}
     changes = free | {rate: time_derivative(e, free).subs(yd, dependent[yd]) for rate, e in dependent.items()}
     total = sp.zeros(2, 1)
@@ -121,8 +114,8 @@ def derivatives_first(energies: tuple, dependent: dict) -> sp.Matrix:
 
 
 def constraints_first(energies: tuple, dependent: dict) -> sp.Matrix:
-    """Lagrange's equations of path and yaw after the constraints are inserted into the energies (2, 1): the printed
-    order (D1). `dependent`: see `constraints`."""
+    """Printed order of steps (D1): constraints inserted into the energies, then Lagrange's equations of path and yaw
+    angle, shape (2, 1). `dependent` is as in `derivatives_first`."""
     t, v, d = energies
     reduced, free = (t.subs(dependent), v, d.subs(dependent)), {xd: xdd, psid: psidd}
     return sp.Matrix([lagrange(q, rate, reduced, free) for q, rate in ((x, xd), (psi, psid))]).subs(dependent)
@@ -130,11 +123,8 @@ def constraints_first(energies: tuple, dependent: dict) -> sp.Matrix:
 
 @lru_cache
 def equations(discrepancies: frozenset[str] = frozenset()) -> tuple[sp.Matrix, sp.Matrix]:
-    """Derive the equations of motion M a + h = 0 of the accelerations a = (xdd, psidd).
-
-    `discrepancies` are the errata, such as "D1", that are kept as printed; none gives the corrected model. Returns the
-    SymPy matrices M (2, 2) and h (2, 1).
-    """
+    """Derive the equations of motion M a + h = 0 of the accelerations a = (xdd, psidd). Returns the SymPy matrices
+    M (2, 2) and h (2, 1). Without `discrepancies` they are those of the corrected model."""
     energies = tuple(energy(discrepancies) for energy in (kinetic_energy, potential_energy, dissipation))
     order = constraints_first if "D1" in discrepancies else derivatives_first
     residual = order(energies, constraints(discrepancies)) - sp.Matrix(generalised_forces())

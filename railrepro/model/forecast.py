@@ -1,6 +1,4 @@
-"""Forecast of position, speed, set point and track over the horizon of the predictive controllers. Serves eq. (34) of
-the paper; the base torque accelerates with both wheels and the spin inertia (D4 corrected) unless the printed forecast
-is asked for."""
+"""Forecast of position, speed, set point and track over the horizon of a predictive controller. Source: eq. (34)."""
 
 from __future__ import annotations
 
@@ -16,25 +14,24 @@ from railrepro.track.route import COLUMNS, reference_in, track_in
 from railrepro.vehicle.parameters import Vehicle
 
 NOMINAL = ("acceleration_per_torque", "partner", "m_CB")
-"""Vehicle data of the forecast: acceleration per base torque (1/(kg m)), signed distance to the other gear (m), body
-mass (kg)."""
+"""Vehicle data of the forecast: acceleration per base torque (1/(kg m)), signed distance to the other gear (m), mass of
+the car body (kg)."""
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """Desired states and track parameters of one running gear at the L + 1 points of a horizon."""
+    """Desired states x_d, shape (L + 1, 6), as `control_model.STATES`, and track parameters theta, shape (L + 1, 9), as
+    `control_model.THETA`, of one running gear over a horizon of L time steps (SI)."""
 
     x_d: np.ndarray
-    """Desired states x, psi_Ax, xdot, psidot_Ax, y_TrAx, psi_TrAx, shape (L + 1, 6), SI."""
     theta: np.ndarray
-    """Track parameters `control_model.THETA` at the forecast positions, shape (L + 1, 9), SI."""
 
 
 def nominal_values(vehicle: Vehicle, gear: int, printed: bool = False) -> np.ndarray:
-    """Vehicle data of the forecast of a gear (0 front, 1 rear), in the order of `NOMINAL`, shape (3,): 1/(kg m), m, kg.
+    """Vehicle data of the forecast of a gear (0 front, 1 rear), shape (3,), in the order and units of `NOMINAL`.
 
-    With `printed` the erratum D4 stays: the torque of one wheel accelerates, with opposite sign and without spin
-    inertia.
+    By default both wheels accelerate the vehicle mass and their own spin inertia. With `printed` one wheel accelerates
+    the mass alone, in the opposite direction (erratum D4).
     """
     gain = 2 / (vehicle.wheel.radius * vehicle.effective_longitudinal_mass)
     if printed:
@@ -44,13 +41,13 @@ def nominal_values(vehicle: Vehicle, gear: int, printed: bool = False) -> np.nda
 
 @stored
 def functions() -> tuple[ca.Function, ca.Function]:
-    """CasADi functions of the forecast at a time t (s) ahead (SI). Source: eqs. (34) and (14), (15).
+    """Make two CasADi functions of the forecast at a time t (s) ahead, in SI units. Source: eqs. (34) and (14), (15).
 
     Returns:
-        position (casadi.Function): (state x_hat[6], base torque u_d, t, nominal[3] of `NOMINAL`) -> track coordinates
-            of this and of the other gear [2] (m).
-        stage (casadi.Function): (x_hat, u_d, t, nominal, here, there) -> x_d[6], theta[9] as in `Forecast`. here and
-            there are the rows of `Route.cells` at these two coordinates.
+        position: (state x_hat[6], base torque u_d, t, nominal[3] of `NOMINAL`) -> track coordinates of this gear and of
+            the other one [2].
+        stage: (x_hat, u_d, t, nominal, here, there) -> x_d[6], theta[9] as in `Forecast`, with the rows of
+            `Route.cells` at these two coordinates.
     """
     x_hat, u_d, t = ca.SX.sym("x_hat", len(STATES)), ca.SX.sym("u_d"), ca.SX.sym("t")
     vehicle = ca.SX.sym("nominal", len(NOMINAL))

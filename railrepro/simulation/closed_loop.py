@@ -105,5 +105,5 @@ class ClosedLoop:
 
     @property
     def margins(self) -> dict[str, float]:
-        """Distances to the limits by names of `interface.Margins`. A run ends when one is not positive."""
+        """Distances to the limits by names of `interface.MARGINS`. A run ends when one is not positive."""
         return dict(zip(interface.MARGINS, self._arrays["margins"].tolist(), strict=True))

@@ -23,7 +23,7 @@ from railrepro.control.adhesion import AdhesionSettings
 from railrepro.data import InputError, is_number, require
 from railrepro.estimation.sensors import Loop, Readings
 from railrepro.model.control_model import STATES, X
-from railrepro.quantities import GEARS, names
+from railrepro.quantities import GEARS
 from railrepro.simulation.closed_loop import ClosedLoop
 from railrepro.simulation.metrics import FLANGE_ANGLE, FLANGEWAY, Part
 from railrepro.simulation.scenarios import Scenario
@@ -170,7 +170,7 @@ def _compiled(controller: Any, *arguments: Any) -> tuple[int, int] | None:
 def _sample(controller: lateral.SlowController, gear: str, sensors: Loop | None, faults: list) -> Callable:
     """Make the function that samples a controller written in Python. An exception goes to `faults` and ends the run."""
     delay = sum(vars(sensors.latency).values()) + CONTROL_PERIOD if sensors else 0.0
-    samples, n_readings = itertools.count(), len(names(interface.ReadGear))
+    samples, n_readings = itertools.count(), len(interface.READ)
 
     def sample(_memory, state, read, base: float) -> float:
         try:

@@ -1,4 +1,6 @@
-"""The 1 kHz law by itself: what its adhesion law and a lateral law get to see, demand, fading, margins, record."""
+"""The 1 kHz law: inputs of its adhesion law and of a lateral law, demand, fading, margins, record."""
+
+from itertools import product
 
 import numpy as np
 import pytest
@@ -20,10 +22,7 @@ class Probe:
     memory = ("calls",)
 
     def __init__(self, **scales):
-        self._scales = {f"scale_{name}": scales.get(name, 0.0) for name in SEEN}
-
-    def gains(self):
-        return self._scales
+        self.gains = lambda: {f"scale_{name}": scales.get(name, 0.0) for name in SEEN}
 
     def torque(self, q):
         return sum(getattr(q, f"scale_{name}") * getattr(q, name) for name in SEEN), {"calls": q.calls + 1}
@@ -41,26 +40,24 @@ def cells():
 
 
 def measured(**values):
-    """Outputs of a car that rolls without adhesion in use at `SPEED`."""
-    states = {f"{gear}.{name}": 0.0 for gear in GEARS for name in ("psi_Ax", "psidot_Ax", "y", "psi_TrAx")}
-    states |= {f"{gear}.p": PLACES[gear] for gear in GEARS} | {f"{gear}.v": SPEED for gear in GEARS}
-    states |= {name: 0.0 for name in interface.MEASURED if name not in states}
-    return states | values
+    """Outputs of a car that rolls at `SPEED` without forces."""
+    moving = {f"{gear}.p": PLACES[gear] for gear in GEARS} | {f"{gear}.v": SPEED for gear in GEARS}
+    return dict.fromkeys(interface.MEASURED, 0.0) | moving | values
 
 
 def call(y, rows=None, held=(0.0, 0.0), memory=None, adhesion=None, guidance=None):
     """Command by wheel, memory, record and margins by name."""
     control = law.control_law(load_vehicle(), guidance or Probe(), adhesion, **LIMITS)
     before = dict.fromkeys(control.signature.memory, 0.0) | (memory or {})
-    inputs = [y[name] for name in interface.MEASURED], cells() if rows is None else rows, held, control.gains
-    found = FUNCTION(*inputs, [before[name] for name in control.signature.memory])
+    inputs = [*y.values()], cells() if rows is None else rows, held, control.gains, [*before.values()]
     names = (WHEELS, control.signature.memory, control.signature.record, interface.MARGINS)
-    return tuple(dict(zip(group, np.array(v).ravel(), strict=True)) for group, v in zip(names, found, strict=True))
+    groups = zip(names, FUNCTION(*inputs), strict=True)
+    return [dict(zip(group, np.array(values).ravel(), strict=True)) for group, values in groups]
 
 
-def seen_by(gear, name, scale, **inputs):
-    """The quantity of that name which the lateral law of a gear sees."""
-    _, _, record, _ = call(measured(**inputs.pop("y", {})), guidance=Probe(**{name: scale}), **inputs)
+def seen_by(gear, name, scale, y=None, **inputs):
+    """The quantity of that name which the lateral law of a gear gets."""
+    record = call(measured(**(y or {})), guidance=Probe(**{name: scale}), **inputs)[2]
     return record[f"{gear}.du"] / scale
 
 
@@ -89,16 +86,14 @@ def test_a_lateral_law_sees_its_gear_the_road_there_and_the_heading_of_the_body_
 
 def test_the_acceleration_of_a_gear_is_the_pull_of_two_wheels_on_half_a_car():
     """Half a car of 32 t and two wheels of 60 kg m2 on 0.46 m weigh 16567 kg; 1 kN m each pulls with 4348 N."""
-    idle = AdhesionSettings(active=False, raise_step=1.0)
-    rows = cells()
+    idle, rows = AdhesionSettings(active=False, raise_step=1.0), cells()
     rows[INDEX["force"]] = 2 * 1000.0 / 0.46
     found = seen_by("rear", "xddot", 1e3, rows=rows, memory={"rear.u": 1000.0}, adhesion=idle)
     assert found == pytest.approx(2 * 1000.0 / 0.46 / (16_000 + 2 * 60 / 0.46**2), rel=1e-9)
 
 
 def test_the_nominal_vehicle_of_the_lateral_laws():
-    tan = np.tan(0.025)
-    inertia = 2000.0 + 60.0 * 1.5**2 / 2 / 0.46**2
+    tan, inertia = np.tan(0.025), 2000.0 + 60.0 * 1.5**2 / 2 / 0.46**2
     expected = {"J_eff": inertia, "k_sz": 60e3, "k_dz": 10e3, "J_Wy": 60.0, "r_0": 0.46, "b": 1.5, "tan_delta": tan}
     expected |= {"gamma": tan / (0.75 - 0.46 * tan), "m_x_eff": 16_000 + 2 * 60 / 0.46**2, "tau_max": 4000.0}
     assert set(expected) == set(lateral.MODEL)
@@ -109,9 +104,8 @@ def test_the_nominal_vehicle_of_the_lateral_laws():
 @pytest.mark.parametrize("force", [5e3, -5e3])
 def test_the_demand_is_shared_by_two_wheels_of_eight_tonnes(force):
     """5 kN are 0.0319 of the axle load of 156.96 kN, and 1150 N m at each wheel of 0.46 m."""
-    rows = cells()
+    idle, rows = AdhesionSettings(active=False, raise_step=1e6), cells()
     rows[INDEX["force"]] = [force, 2 * force]
-    idle = AdhesionSettings(active=False, raise_step=1e6)
     command, memory, record, _ = call(measured(), rows, adhesion=idle)
     for gear, share in (("front", 1), ("rear", 2)):
         assert record[f"{gear}.f_star"] == pytest.approx(share * force / 156_960)
@@ -138,16 +132,12 @@ def test_a_wheel_that_stands_does_not_steer(speed, share):
 
 def test_margins_are_distances_to_the_limits():
     y = measured(**{"front.y": -0.01, "rear.y": 0.025, "front.p": 870.0, "rear.p": 856.0, "front.v": 0.3})
-    margins = call(y)[3]
     expected = {"front.lateral": 0.02, "rear.lateral": 0.005, "track_end": 30.0, "stop_speed": 0.2}
-    expected |= {"front.torque": 1.0, "rear.torque": 1.0}
-    assert margins == pytest.approx(expected)
+    assert call(y)[3] == pytest.approx(expected | {"front.torque": 1.0, "rear.torque": 1.0})
 
 
 def test_the_adhesion_law_gets_adhesion_and_slip_of_its_own_wheels():
-    exact = {f"{wheel}.adhesion": 1.0 + 2 * i for i, wheel in enumerate(WHEELS)}
-    exact |= {f"{wheel}.sx": 2.0 + 2 * i for i, wheel in enumerate(WHEELS)}
-    settings = AdhesionSettings(filter_time=4e-3)  # 1 ms takes a fifth of the way
-    kept = call(measured(**exact), adhesion=settings)[1]
-    found = [[kept[f"{gear}.adhesion.{name}.{side}"] for gear in GEARS for side in SIDES] for name in "fs"]
-    assert 5 * np.array(found) == pytest.approx(np.array([[1, 3, 5, 7], [2, 4, 6, 8]]))
+    exact = {f"{wheel}.{name}": i for i, (wheel, name) in enumerate(product(WHEELS, ("adhesion", "sx")))}
+    kept = call(measured(**exact), adhesion=AdhesionSettings(filter_time=4e-3))[1]  # 1 ms takes a fifth of the way
+    filtered = [kept[f"{gear}.adhesion.{name}.{side}"] for gear in GEARS for side in SIDES for name in "fs"]
+    assert 5 * np.array(filtered) == pytest.approx(np.arange(8))

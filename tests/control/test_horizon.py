@@ -24,35 +24,19 @@ SETTINGS = MPCSettings(Q, r=3e-11, q_terminal=4.0, steps=10, lateral_bound=5e-4,
 WIDE = MPCSettings((0.0, 0.0, 0.0, 2e-4, 1.0, 5.0), r=1e-12, q_terminal=3.0, steps=12, lateral_bound=1.0)
 SPEED, BASE = 77.0, 500.0
 AT = {name: i for i, name in enumerate(STATES)}
+V, ROUTE = load_vehicle(), scenarios.load_scenario("curve_entry_T3").route()
+PARAMETERS, NOMINAL = parameter_vector(V), nominal_values(V, 0)
+RTI = (NMPC, {"solver": "rti"})
+CONTROLLERS = [(NMPC, {}), RTI, (NMPC, {"solver": "ipopt"}), (LTVMPC, {})]
+_PSI, _KAPPA = ROUTE.track_at(200.0)[:2, 0]
+X = np.array([200.0, _PSI, SPEED, _KAPPA * SPEED, 2e-3, 3e-4])  # on the clothoid, off centre and yawed
 
 
-@pytest.fixture(scope="module")
-def vehicle():
-    return load_vehicle()
-
-
-@pytest.fixture(scope="module")
-def way():
-    return scenarios.load_scenario("curve_entry_T3").route()
-
-
-def measured(way, p=200.0, **values):
-    """On the clothoid, along the track but for `values`."""
-    psi, kappa = way.track_at(p)[:2, 0]
-    state = {"x": p, "psi_Ax": psi, "xdot": SPEED, "psidot_Ax": kappa * SPEED, "y_TrAx": 0.0, "psi_TrAx": 0.0}
-    return np.array(list((state | values).values()))
-
-
-STATE = {"y_TrAx": 2e-3, "psi_TrAx": 3e-4}
-
-
-def horizon_of(vehicle, way, settings=SETTINGS, bound=4000.0):
+def horizon_of(settings=SETTINGS, bound=4000.0):
     """A horizon with a problem, a forecast and a trajectory that does not obey the model."""
-    parameters = parameter_vector(vehicle)
-    horizon = Horizon(settings, nominal_values(vehicle, 0), parameters, way)
-    generator = np.random.default_rng(4)
+    horizon, generator = Horizon(settings, NOMINAL, PARAMETERS, ROUTE), np.random.default_rng(4)
     u, scatter = generator.normal(0, 300, settings.steps), generator.normal(0, 1e-5, (settings.steps + 1, len(STATES)))
-    horizon.forecast(measured(way, **STATE), BASE)
+    horizon.forecast(X, BASE)
     horizon.c.bound = bound
     horizon.u[:], horizon.x[:] = u, horizon.x_d + scatter
     return horizon
@@ -62,12 +46,6 @@ def linearise(horizon):
     """Model along the trajectory: next states (L, 6), nonzeros of A, B (L, 6)."""
     horizon.library.horizon_linearise(horizon.pointer)
     return [horizon.stages[name][:-1] for name in ("x_next", "a", "b")]
-
-
-def solve(horizon):
-    """Steps of states (L + 1, 6) and torques (L,), and whether torques are at a bound (L,)."""
-    assert horizon.library.horizon_solve(horizon.pointer) == 0
-    return horizon.stages["dx"], horizon.stages["du"][:-1], horizon.stages["fixed"][:-1] != 0
 
 
 def minimiser(horizon):
@@ -95,18 +73,6 @@ def minimiser(horizon):
     return np.array(states(found)).T, UNIT * np.array(found).ravel()
 
 
-@pytest.mark.parametrize("affine", [1.0, 0.0])
-def test_the_linearisation_is_that_of_the_model(vehicle, way, affine):
-    horizon = horizon_of(vehicle, way)
-    s, parameters = horizon.settings, parameter_vector(vehicle)
-    horizon.c.affine = affine
-    model = dynamics(s.variant, s.discretisation)
-    for k, found in enumerate(zip(*linearise(horizon), strict=True)):
-        expected = model(horizon.x[k], horizon.u[k], BASE, horizon.theta[k], parameters, s.period, affine)
-        for ours, other in zip(found, expected, strict=True):
-            assert np.abs(ours - other.nonzeros()).max() <= 1e-7 * np.abs(other.nonzeros()).max()
-
-
 @pytest.mark.parametrize(
     ("most_sets", "start"),
     [(MOST_SETS, 0.0), (MOST_SETS, -1.0), (MOST_SETS, "alternating"), (1, 1.0), (1, "alternating")],
@@ -121,24 +87,23 @@ def test_the_linearisation_is_that_of_the_model(vehicle, way, affine):
         (1000.0, {"steps": 40, "bound_weight": 3e3}, 1.0),
     ],
 )
-def test_the_linearised_problem_is_that_of_the_model_and_its_minimiser_is_found_from_any_start(
-    vehicle, way, bound, changes, affine, start, most_sets
-):
-    horizon = horizon_of(vehicle, way, replace(SETTINGS, **changes), bound)
+def test_the_problem_is_linearised_and_its_minimiser_is_found_from_any_start(bound, changes, affine, start, most_sets):
+    horizon = horizon_of(replace(SETTINGS, **changes), bound)
     horizon.u[:] = horizon.u.clip(-bound, bound)
     horizon.c.affine, horizon.c.most_sets = affine, most_sets
-    s, parameters = horizon.settings, parameter_vector(vehicle)
+    s = horizon.settings
     for k, found in enumerate(zip(*linearise(horizon), strict=True)):
-        numbers = horizon.theta[k], parameters, s.period, affine
+        numbers = horizon.theta[k], PARAMETERS, s.period, affine
         expected = dynamics(s.variant, s.discretisation)(horizon.x[k], horizon.u[k], BASE, *numbers)
         for ours, other in zip(found, expected, strict=True):
             assert np.abs(ours - other.nonzeros()).max() <= 1e-7 * np.abs(other.nonzeros()).max()
     dx, du = minimiser(horizon)
     alternating = (-1.0) ** np.arange(len(horizon.stages))
     horizon.stages["fixed"] = alternating if start == "alternating" else start
-    found_dx, found_du, fixed = solve(horizon)
-    assert found_du == pytest.approx(du, rel=1e-6, abs=1e-6 * bound)
-    assert found_dx == pytest.approx(dx, rel=1e-6, abs=1e-9)
+    assert horizon.library.horizon_solve(horizon.pointer) == 0
+    assert horizon.stages["du"][:-1] == pytest.approx(du, rel=1e-6, abs=1e-6 * bound)
+    assert horizon.stages["dx"] == pytest.approx(dx, rel=1e-6, abs=1e-9)
+    fixed = horizon.stages["fixed"][:-1] != 0
     assert np.array_equal(fixed, np.isclose(np.abs(horizon.u + du), bound, rtol=1e-8))
     assert fixed.any() == (bound < 4000.0) and horizon.c.passes <= 40
 
@@ -156,15 +121,16 @@ def test_no_sample_on_poor_rail_falls_back(name, solver):
             return torque
 
     cone = load_vehicle(**{"contact.profile": "cone"})  # no flange holds it
-    built = replace(built, controller=Counting)
-    run = simulate.run(scenarios.load_scenario("adhesion_loss"), built, plant_vehicle=cone)
+    run = simulate.run(
+        scenarios.load_scenario("adhesion_loss"), replace(built, controller=Counting), plant_vehicle=cone
+    )
     assert run.failed and not any(guided.fallbacks for guided in run.controllers) and max(most) < 60
     # the last problem of a converged sample starts from its solution
     assert solver != "rti" or np.mean(np.array(most) > MOST_SETS) > 0.02
 
 
-@pytest.mark.parametrize(("kind", "options"), [(NMPC, {"solver": "rti"}), (NMPC, {}), (LTVMPC, {"printed": True})])
-def test_the_loop_runs_the_sample_that_plan_runs(kind, options, vehicle):
+@pytest.mark.parametrize(("kind", "options"), [RTI, (NMPC, {}), (LTVMPC, {"printed": True})])
+def test_the_loop_runs_the_sample_that_plan_runs(kind, options):
     class Planned(kind):
         def plan(self, x_hat, u_d):
             return super().plan(x_hat, u_d)
@@ -180,55 +146,44 @@ def test_the_loop_runs_the_sample_that_plan_runs(kind, options, vehicle):
 def after(x, torque, guided):
     """State one sample later by the controller's own model."""
     s = guided.settings
-    ahead = Horizon(s, nominal_values(guided.vehicle, 0), guided.parameters, guided.route)
-    theta = ahead.forecast(x, 0.0).theta[0]
-    found, *_ = dynamics("corrected", s.discretisation)(x, torque, 0.0, theta, guided.parameters, s.period, 1.0)
-    return np.array(found).ravel()
+    theta = Horizon(s, NOMINAL, PARAMETERS, ROUTE).forecast(x, 0.0).theta[0]
+    following, *_ = dynamics("corrected", s.discretisation)(x, torque, 0.0, theta, PARAMETERS, s.period, 1.0)
+    return np.array(following).ravel()
 
 
-@pytest.mark.parametrize(
-    ("kind", "options"), [(NMPC, {}), (NMPC, {"solver": "rti"}), (NMPC, {"solver": "ipopt"}), (LTVMPC, {})]
-)
-def test_the_observer_learns_nothing_on_the_model_itself_and_the_angle_behind_a_push(vehicle, way, kind, options):
-    x, offsets = measured(way, **STATE), []
+@pytest.mark.parametrize(("kind", "options"), CONTROLLERS)
+def test_the_observer_learns_nothing_on_the_model_itself_and_the_angle_behind_a_push(kind, options):
+    offsets = []
     for push in (0.0, 1e-4):
-        guided = kind(vehicle, way, 0, replace(WIDE, observer=1.0), **options)
-        following = after(x, guided.plan(x, 0.0), guided)
-        assert abs(following[AT["y_TrAx"]] - x[AT["y_TrAx"]]) > 1e-4
+        guided = kind(V, ROUTE, 0, replace(WIDE, observer=1.0), **options)
+        following = after(X, guided.plan(X, 0.0), guided)
+        assert abs(following[AT["y_TrAx"]] - X[AT["y_TrAx"]]) > 1e-4
         following[AT["y_TrAx"]] += push
         guided.plan(following, 0.0)
         offsets.append(guided.c.offset)
     assert offsets == pytest.approx([0.0, 1e-4 / SPEED / WIDE.period], abs=2e-6)
 
 
-@pytest.mark.parametrize(
-    ("kind", "options"), [(NMPC, {}), (NMPC, {"solver": "rti"}), (NMPC, {"solver": "ipopt"}), (LTVMPC, {})]
-)
-def test_while_measurements_are_broken_or_no_torque_is_left_the_old_plan_plays_on(vehicle, way, kind, options):
-    guided, x = kind(vehicle, way, 0, WIDE, **options), measured(way, **STATE)
-
-    def sample(state):
-        """A sample as compiled loops ask for it."""
-        return guided._torque(ctypes.c_void_p(state.ctypes.data), ctypes.c_double(0.0))
-
-    guided.plan(x, 0.0)
-    planned = guided.plan_du.copy()
-    assert [sample(x * np.nan) for _ in range(4)] == pytest.approx(planned[1:5])
-    assert guided.plan(x, 0.0) == pytest.approx(planned[0], rel=0.1 if "rti" in options.values() else 1e-4)
+@pytest.mark.parametrize(("kind", "options"), CONTROLLERS)
+def test_while_measurements_are_broken_or_no_torque_is_left_the_old_plan_plays_on(kind, options):
+    guided, broken = kind(V, ROUTE, 0, WIDE, **options), X * np.nan
+    guided.plan(X, 0.0)
+    planned, sample = guided.plan_du.copy(), (ctypes.c_void_p(broken.ctypes.data), ctypes.c_double(0.0))
+    assert [guided._torque(*sample) for _ in range(4)] == pytest.approx(planned[1:5])  # as compiled loops call it
+    assert guided.plan(X, 0.0) == pytest.approx(planned[0], rel=0.1 if "rti" in options.values() else 1e-4)
     assert guided.fallbacks == 4 and len(guided.stats) == 2
     guided.c.most_sets, guided.drive[0] = 0, 0.0
-    assert guided.plan(x, 0.0) == 0.0 and guided.fallbacks == 4 + ("ipopt" not in options.values())
+    assert guided.plan(X, 0.0) == 0.0 and guided.fallbacks == 4 + ("ipopt" not in options.values())
 
 
 @pytest.mark.parametrize(
-    ("kind", "options", "push", "apart"),
-    [(NMPC, {"solver": "rti"}, 0.0, 1e-3), (NMPC, {"solver": "rti"}, 1.0, 20.0), (LTVMPC, {}, 1.0, 0.2)],
+    ("kind", "options", "push", "apart"), [(*RTI, 0.0, 1e-3), (*RTI, 1.0, 20.0), (LTVMPC, {}, 1.0, 0.2)]
 )
-def test_real_time_iteration_and_linear_mpc_are_near_the_converged_plan(kind, options, push, apart, vehicle, way):
+def test_real_time_iteration_and_linear_mpc_are_near_the_converged_plan(kind, options, push, apart):
     """In N m of up to 4000, in closed loop on the model, with pushes and base torques that jump and without them."""
     settings = replace(WIDE, lateral_bound=1.5e-3, bound_weight=30.0, observer=0.3)
-    converged, near = NMPC(vehicle, way, 0, settings), kind(vehicle, way, 0, settings, **options)
-    random, x = np.random.default_rng(4), measured(way, **STATE)
+    converged, near = NMPC(V, ROUTE, 0, settings), kind(V, ROUTE, 0, settings, **options)
+    random, x = np.random.default_rng(4), X
     for _ in range(40):
         base = push * random.uniform(-1500, 1500)
         torque = converged.plan(x, base)
@@ -238,18 +193,19 @@ def test_real_time_iteration_and_linear_mpc_are_near_the_converged_plan(kind, op
     assert abs(converged.c.offset) > push * 1e-5
 
 
-@pytest.mark.parametrize(("kind", "options"), [(NMPC, {}), (NMPC, {"solver": "rti"}), (LTVMPC, {})])
-def test_a_base_torque_leaves_less_as_printed_and_is_left_out_when_unknown(vehicle, way, kind, options):
-    x, bold = measured(way, **STATE), replace(WIDE, r=1e-14)
-    printed, yields = (kind(vehicle, way, 0, replace(bold, yielding=how), **options) for how in (False, True))
-    assert abs(printed.plan(x, -3990.0)) == pytest.approx(10.0) and abs(yields.plan(x, -3990.0)) > 100.0
-    knows, without = (kind(vehicle, way, 0, replace(WIDE, informed=how), **options) for how in (True, False))
-    assert without.plan(x, -3990.0) == kind(vehicle, way, 0, WIDE, **options).plan(x, 0.0) != knows.plan(x, -3990.0)
+@pytest.mark.parametrize(("kind", "options"), [(NMPC, {}), RTI, (LTVMPC, {})])
+def test_a_base_torque_leaves_less_as_printed_and_is_left_out_when_unknown(kind, options):
+    def torque(base, **changes):
+        return kind(V, ROUTE, 0, replace(WIDE, **changes), **options).plan(X, base)
+
+    assert abs(torque(-3990.0, r=1e-14, yielding=False)) == pytest.approx(10.0)
+    assert abs(torque(-3990.0, r=1e-14)) > 100.0
+    assert torque(-3990.0, informed=False) == torque(0.0) != torque(-3990.0)
 
 
-def test_the_linear_problem_linearises_along_the_track_and_as_printed_at_no_heading(vehicle, way):
-    for printed in (False, True):
-        guided = LTVMPC(vehicle, way, 0, WIDE, printed=printed)
-        guided.plan(measured(way, **STATE), 0.0)
-        heading = np.array(way.track_at(guided.horizon.x_d[:, AT["x"]])[0])
-        assert guided.horizon.x[:, AT["psi_Ax"]] == pytest.approx(0.0 if printed else heading, rel=1e-9)
+@pytest.mark.parametrize("printed", [False, True])
+def test_the_linear_problem_linearises_along_the_track_and_as_printed_at_no_heading(printed):
+    guided = LTVMPC(V, ROUTE, 0, WIDE, printed=printed)
+    guided.plan(X, 0.0)
+    heading = np.array(ROUTE.track_at(guided.horizon.x_d[:, AT["x"]])[0])
+    assert guided.horizon.x[:, AT["psi_Ax"]] == pytest.approx(0.0 if printed else heading, rel=1e-9)

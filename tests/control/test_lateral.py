@@ -1,4 +1,4 @@
-"""Guidance laws: own ones at 1 kHz and slower ones, refusals, and the inversion against the control model."""
+"""Guidance laws of users, refusals, and the inversion against the control model."""
 
 import re
 import runpy
@@ -19,27 +19,28 @@ from railrepro.vehicle.parameters import load_vehicle
 
 
 class Own:
-    """A law whose torque is given; for everything else it is well formed."""
+    """A law with a given torque that is well formed in all else."""
 
     memory = ("past",)
 
     def __init__(self, torque, gains=None):
-        self._torque, self._gains = torque, gains or {"k": 1.0}
-
-    def gains(self):
-        return self._gains
+        self._torque, self.gains = torque, lambda: gains or {"k": 1.0}
 
     def torque(self, q):
-        found = self._torque(q)
-        return found if isinstance(found, tuple) else (found, {"past": q.y})
+        du = self._torque(q)
+        return du if isinstance(du, tuple) else (du, {"past": q.y})
+
+
+def blocks(page):
+    """Fenced Python blocks of a page of the users' guide."""
+    return re.findall(r"```python\n(.*?)```", (paths.NOTEBOOKS / "book" / page).read_text(), flags=re.DOTALL)
 
 
 def examples(*pages):
-    """Names after all fenced Python blocks of pages of the users' guide, run as they stand; no run may fail."""
+    """Names after all Python blocks of pages of the users' guide. No run may fail."""
     names = {}
     for page in pages:
-        text = (paths.NOTEBOOKS / "book" / page).read_text()
-        for block in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL):
+        for block in blocks(page):
             exec(compile(block, "page", "exec"), names)
         assert not names["run"].failed and names["run"].ended.startswith("end of the run")
     return names
@@ -54,11 +55,11 @@ def test_examples_of_the_guide_run_as_they_stand(tmp_path, monkeypatch):
     assert names["car"].left_rail == "" and 1e-3 < names["car"].outputs["front.y"] < 5e-3
     assert 0 < names["row"]["rail_rmse_y"] < 2e-3 and names["row"]["n_mv_floor_front"] > 0
     law = examples("own_car.md", "adding.md")["StateFeedback"]
-    assert lateral.signature(law(pole=20.0)) == lateral.signature(law(pole=40.0)), "one object must serve both tunings"
+    assert lateral.signature(law(pole=20.0)) == lateral.signature(law(pole=40.0)), "both tunings share compiled code"
 
 
 class Softened(NDI):
-    """Inherits that NDI has the same torque for all objects, which is not so here."""
+    """A class that inherits `alike`, although its torque depends on the object."""
 
     def torque(self, q):
         du, following = super().torque(q)
@@ -95,8 +96,8 @@ def test_an_own_law_that_is_not_well_formed_is_refused_in_one_sentence(guidance,
 
 
 def along_the_model(vehicle, expressions, state, theta, ddpsi_dp, u_d, du):
-    """Expressions of the state, a row each with its first three derivatives over time along the control model, as the
-    track passes by and with torques held."""
+    """Expressions of the state, a row each, with their first three derivatives by time along the control model. Torques
+    and the derivative of the curvature are constant."""
     here = {"psi_Tr": theta["psi_Tr"] + theta["dpsi_dp"] * state[X], "dpsi_dp": theta["dpsi_dp"] + ddpsi_dp * state[X]}
     parameters = dict(zip(PARAMETERS, parameter_vector(vehicle), strict=True)) | {"g": 0.0}
     track = ca.vertcat(*((theta | here)[name] for name in THETA))
@@ -117,44 +118,34 @@ def test_the_inversion_gives_the_control_model_the_error_dynamics(speed, base_to
     base torque on unequal radii or a rolled axle, so while braking it is exact in the middle of a level track only.
     """
     vehicle, generator, scale = load_vehicle(), np.random.default_rng(3), ca.SX.sym("scale")
-
-    def lateral_quantity(size):
-        return scale * generator.normal(0, size)
-
-    x = {"x": 0.0, "v": speed, "psi": lateral_quantity(1e-3), "y": off * lateral_quantity(3e-3)}
-    x |= {"yaw_rate": lateral_quantity(0.05)}
-    theta = {"psi_Tr": lateral_quantity(0.1), "dpsi_dp": lateral_quantity(1e-3), "phi_Tr": off * lateral_quantity(0.1)}
-    theta |= {"dphi_dp": lateral_quantity(1e-3), "eps_Tr": 0.0, "deps_dp": 0.0, "m_CB": vehicle.body.mass}
-    theta |= {"psi_CB": theta["psi_Tr"] + lateral_quantity(2e-3), "dpsi_dp_CB": lateral_quantity(1e-3)}
-    x["psi_Ax"] = theta["psi_Tr"] + x["psi"]
-    extra = {"ddpsi_dp": lateral_quantity(1e-5), "tau_max": 4000.0}
-    sizes = {"y_ref": 3e-3, "dy_ref": 1e-4, "ddy_ref": 1e-5, "dddy_ref": 1e-6}
-    set_point = {name: lateral_quantity(size) for name, size in sizes.items()}
-    extra["integral"] = lateral_quantity(1e-4)
+    sizes = {"psi": 1e-3, "y": off * 3e-3, "yaw_rate": 0.05, "psi_Tr": 0.1, "dpsi_dp": 1e-3, "phi_Tr": off * 0.1}
+    sizes |= {"dphi_dp": 1e-3, "psi_CB": 2e-3, "dpsi_dp_CB": 1e-3, "ddpsi_dp": 1e-5, "integral": 1e-4}
+    set_point = {"y_ref": 3e-3, "dy_ref": 1e-4, "ddy_ref": 1e-5, "dddy_ref": 1e-6}
+    x = {name: scale * generator.normal(0, size) for name, size in (sizes | set_point).items()}
+    x |= {"x": 0.0, "v": speed, "psi_Ax": x["psi_Tr"] + x["psi"], "psi_CB": x["psi_Tr"] + x["psi_CB"]}
+    x |= {"eps_Tr": 0.0, "deps_dp": 0.0, "m_CB": vehicle.body.mass, "tau_max": 4000.0}
 
     guidance, model = NDI(integral=0.2, rates=True), vars(law._model(vehicle))
     gain, xddot = guidance.gains(), 2 * base_torque / (model["r_0"] * model["m_x_eff"])
-    q = SimpleNamespace(**(theta | x | set_point | extra | gain | model | {"xddot": xddot}))
+    q = SimpleNamespace(**(x | gain | model | {"xddot": xddot}))
     du, _ = guidance.torque(q)
     state = ca.SX.sym("state", len(STATES))
-    place, (y0, y1, y2, y3) = state[X], set_point.values()
+    place, (y0, y1, y2, y3) = state[X], (x[name] for name in set_point)
     reference = y0 + y1 * place + y2 * place**2 / 2 + y3 * place**3 / 6
-    orders = along_the_model(vehicle, [state[Y], reference], state, theta, extra["ddpsi_dp"], base_torque, du)
+    orders = along_the_model(vehicle, [state[Y], reference], state, x, x["ddpsi_dp"], base_torque, du)
     here = ca.vertcat(*(x[name] for name in [*lateral.GEAR][: len(STATES)]))
     y, wished = map(ca.horzsplit, ca.vertsplit(ca.substitute(orders, state, here)))
-    wanted = wished[3] + gain["ki"] * extra["integral"] + sum(gain[f"k{i}"] * (wished[i] - y[i]) for i in range(3))
-    all_three = wanted, ndi.wanted_jerk(q), y[3]
-    slopes = ca.Function("slopes", [scale], [ca.jacobian(jerk, scale) for jerk in all_three])
-    expected, asked, found = map(float, slopes(0.0))
-    assert asked == pytest.approx(expected, rel=1e-9)
-    assert found == pytest.approx(expected, rel=tolerance)
+    wanted = wished[3] + gain["ki"] * x["integral"] + sum(gain[f"k{i}"] * (wished[i] - y[i]) for i in range(3))
+    jerks = [ca.jacobian(jerk, scale) for jerk in (wanted, ndi.wanted_jerk(q), y[3])]
+    expected, demanded, reached = map(float, ca.Function("jerks", [scale], jerks)(0.0))
+    assert demanded == pytest.approx(expected, rel=1e-9)
+    assert reached == pytest.approx(expected, rel=tolerance)
 
 
 def of_the_guide(pole):
     """The integral law of the guide with a pole (rad/s)."""
-    text = (paths.NOTEBOOKS / "book/adding.md").read_text()
     names = {}
-    exec(re.search(r"```python\n(.*?)scenario =", text, re.DOTALL)[1], names)
+    exec(blocks("adding.md")[0].partition("scenario =")[0], names)
     return names["StateFeedback"](pole)
 
 

@@ -1,12 +1,12 @@
-/* An interior point method on the same recursion, for problems whose active sets do not settle: some fifteen Newton steps
-   whatever the bounds. Starts after riccati.c.
+/* An interior point method on the same recursion, for problems in which the active-set method does not converge. It takes some
+   15 Newton steps, whatever the bounds. It needs riccati.c.
 
-   Every bound has a slack and a multiplier, both above zero; the product of the two is driven towards zero. In the recursion
-   a weight and a slope stand for all bounds of a stage. A lateral bound is soft: its multiplier widens its slack.
+   Each bound has a slack and a multiplier, both above zero, whose product goes to zero. In the recursion a weight and a slope
+   represent all bounds of a stage. A lateral bound is soft: its slack grows with its multiplier.
 
    Source: Mehrotra 1992 (predictor and corrector); Rao, Wright and Rawlings 1998 (recursion). */
 
-/* Bounds 0 and 1 are those of the torque of stage k, 2 and 3 those of the lateral position of stage k + 1. */
+/* Bounds 0 and 1 are for the torque of stage k, 2 and 3 for the lateral position of stage k + 1. */
 enum { LATERAL = 2, MOST_STEPS = 40 };
 static const double SIGN[BOUNDS] = {1, -1, 1, -1};
 #define EACH_BOUND for (int i = 0; i < BOUNDS; ++i) for (stage_t *s = h->stage; s < h->stage + h->steps; ++s)
@@ -14,13 +14,13 @@ static const double SIGN[BOUNDS] = {1, -1, 1, -1};
 /* Step of the bounded quantity in dx, du. */
 static double step_of(const stage_t *s, int i) { return i < LATERAL ? s->du : s[1].dx[STATE_y_TrAx]; }
 
-/* Room that a rigid bound leaves after the step in dx, du. */
+/* Slack of a bound after the step in dx, du, if the bound were rigid. */
 static double rigid_slack(const horizon_t *h, const stage_t *s, int i) {
   const double limit = i < LATERAL ? h->bound : h->tuning[TUNING_lateral_bound];
   return limit - SIGN[i] * ((i < LATERAL ? s->u : s[1].x[STATE_y_TrAx]) + step_of(s, i));
 }
 
-/* Nothing stands for bounds, no bound is active. */
+/* Clear the terms that represent bounds, and release all bounds. */
 static void release(horizon_t *h) {
   for (stage_t *s = h->stage; s <= h->stage + h->steps; ++s) {
     memset(s->barrier, 0, sizeof s->barrier);
@@ -28,7 +28,7 @@ static void release(horizon_t *h) {
   }
 }
 
-/* One Newton step towards the targets of slack times multiplier: dx, du, and how slacks and multipliers change on the way. */
+/* Compute a Newton step towards the targets of slack times multiplier: dx, du, and the steps of slacks and multipliers. */
 static void interior_step(horizon_t *h, const double *softness) {
   release(h);
   EACH_BOUND {
@@ -49,7 +49,7 @@ static void interior_step(horizon_t *h, const double *softness) {
   }
 }
 
-/* Largest part of the step on which slacks and multipliers stay positive, at most the whole. */
+/* Largest fraction of the step at which slacks and multipliers stay positive, at most 1. */
 static double interior_share(const horizon_t *h) {
   double share = 1;
   EACH_BOUND {
@@ -59,14 +59,15 @@ static double interior_share(const horizon_t *h) {
   return share;
 }
 
-/* Mean product of slack and multiplier after part of the step. */
+/* Mean product of slack and multiplier after a fraction of the step. */
 static double gap_after(const horizon_t *h, double share) {
   double all = 0;
   EACH_BOUND all += (s->slack[i] + share * s->slack_step[i]) * (s->multiplier[i] + share * s->multiplier_step[i]);
   return all / (double)(BOUNDS * h->steps);
 }
 
-/* Take part of the step. Torques whose slack shrinks faster than their multiplier are taken to be at the bound. */
+/* Take a fraction of the step. The bound of a torque is then active if its slack shrinks faster than its multiplier, a lateral
+   bound if the position exceeds it. */
 static void interior_advance(horizon_t *h, double share) {
   EACH_BOUND {
     const double slack = s->slack[i] + share * s->slack_step[i];
@@ -80,7 +81,7 @@ static void interior_advance(horizon_t *h, double share) {
   }
 }
 
-/* Begin without torque, every product of slack and multiplier the same; returns it, or 0 where there is no interior. */
+/* Start without torque and with equal products of slack and multiplier; returns the product, or 0 without an interior. */
 static double interior_enter(horizon_t *h, double stiffness) {
   double gap = 0;
   for (stage_t *s = h->stage; s < h->stage + h->steps; ++s) {
@@ -102,9 +103,9 @@ static double interior_enter(horizon_t *h, double stiffness) {
   return gap;
 }
 
-/* Minimiser of the quadratic problem about the trajectory: steps dx, du. Starts from the active sets it finds; when a few
-   more do not settle, interior points find those of the minimiser. Near their end the active sets are known and tried, so
-   that the minimiser is that of the recursion.
+/* Find the steps dx, du that minimise the quadratic problem about the trajectory. It starts from the present active set. If
+   h->most_sets of them are not enough, the interior point method takes over and near its end tries the active set that it has
+   found, so that the minimiser is exact.
    Returns 0, or 1 when a value is not finite, or 2 when no minimiser was found. */
 int horizon_solve(horizon_t *h) {
   const double *t = h->tuning;

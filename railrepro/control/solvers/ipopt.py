@@ -1,5 +1,5 @@
-"""The stated optimal control problem as a nonlinear program for Ipopt, the reference of the other solvers. Serves the
-paper's section Nonlinear Model Predictive Control."""
+"""The optimal control problem as a nonlinear program for Ipopt, the reference of the other solvers. Serves the paper's
+section Nonlinear Model Predictive Control."""
 
 from __future__ import annotations
 
@@ -15,28 +15,20 @@ from railrepro.model.control_model import STATES, THETA
 from railrepro.model.parameters import PARAMETERS
 
 _N = len(STATES)
-_SCALES = {"x": 1.0, "psi_Ax": 1e-2, "xdot": 1.0, "psidot_Ax": 1e-2, "y_TrAx": 1e-3, "psi_TrAx": 1e-3}
-SCALE = np.array([_SCALES[name] for name in STATES])
-"""Units of the state deviations in the NLP, shape (6,) (SI)."""
-UNIT = 1e3
-"""Unit of differential torques in the NLP (N m): kN m, or solvers stop too early."""
-COST = 1e6
-"""Factor on the cost in the NLP, so that it is of the order of one (-)."""
-SLACK = 1e-3
-"""Unit of slacks in the NLP (m): mm."""
+SCALE = np.array([1.0, 1e-2, 1.0, 1e-2, 1e-3, 1e-3])
+"""Units of the deviations of the states in the NLP, in the order of `control_model.STATES` (SI)."""
+UNIT, COST, SLACK = 1e3, 1e6, 1e-3
+"""Unit of torques in the NLP (N m), factor on the cost, unit of slacks (m). Without them solvers stop too early."""
 
 
 @lru_cache
 def program(variant: str, discretisation: str, steps: int) -> dict[str, ca.MX]:
-    """Nonlinear program (multiple shooting) over `steps` time steps, as the dict that `casadi.nlpsol` takes.
-
-    Its keys, with L = `steps`, are:
+    """Nonlinear program (multiple shooting) over L = `steps` time steps, a dict for `casadi.nlpsol` with the keys
 
     - "x", unknowns: deviations from the desired states over `SCALE`, 6 (L + 1); torques (kN m), L; slacks (mm), L;
     - "p", parameters: desired states, track theta (9 L), model parameters, tuning vector, base torque;
     - "f": `COST` times the cost of `control.problem`;
-    - "g": defects of the dynamics over `SCALE`, 6 L, to be 0; excess over the lateral bounds minus slack, 2 L, to be <=
-      0.
+    - "g": defects of the dynamics over `SCALE`, 6 L, equal to 0; excess over both lateral bounds less slack, 2 L, <= 0.
     """
     step = problem.dynamics(variant, discretisation)
     z, du, slack = ca.MX.sym("z", _N, steps + 1), ca.MX.sym("du", steps), ca.MX.sym("slack", steps)
@@ -67,8 +59,8 @@ def _solver(variant: str, discretisation: str, steps: int) -> ca.Function:
 
 
 def solve(horizon: Horizon) -> int | None:
-    """Solve the problem of a horizon by Ipopt and write the solution into its arrays `x` and `u`. Returns the number of
-    iterations. Returns None, and leaves `x` and `u`, when Ipopt fails or the state is not finite."""
+    """Solve the problem of a horizon by Ipopt, write the solution into its `x` and `u`, and return the number of
+    iterations. If Ipopt fails or the state is not finite, `x` and `u` stay, and the result is None."""
     s, steps = horizon.settings, horizon.settings.steps
     x_d, bound = horizon.x_d, horizon.c.bound / UNIT
     initial = (horizon.x_hat - x_d[0]) / SCALE
@@ -76,11 +68,11 @@ def solve(horizon: Horizon) -> int | None:
         return None
     deviation = (horizon.x - x_d) / SCALE
     free = np.full(_N * steps, np.inf)
-    p = np.concatenate([x_d.ravel(), horizon.theta[:-1].ravel(), horizon.tables["par"], s.tuning(), [horizon.c.u_d]])
+    numbers = horizon.tables["par"], s.tuning(), [horizon.c.u_d]
     function = _solver(s.variant, s.discretisation, steps)
-    found = function(
+    solution = function(
         x0=np.concatenate([deviation.ravel(), horizon.u / UNIT, np.zeros(steps)]),
-        p=p,
+        p=np.concatenate([x_d.ravel(), horizon.theta[:-1].ravel(), *numbers]),
         lbx=np.concatenate([initial, -free, np.full(steps, -bound), np.zeros(steps)]),
         ubx=np.concatenate([initial, free, np.full(steps, bound), np.full(steps, np.inf)]),
         lbg=np.concatenate([np.zeros(_N * steps), np.full(2 * steps, -np.inf)]),
@@ -88,7 +80,7 @@ def solve(horizon: Horizon) -> int | None:
     )
     if not function.stats()["success"]:
         return None
-    deviation, torques, _ = np.split(np.array(found["x"]).ravel(), [_N * (steps + 1), _N * (steps + 1) + steps])
+    deviation, torques, _ = np.split(np.array(solution["x"]).ravel(), [_N * (steps + 1), _N * (steps + 1) + steps])
     horizon.x[:] = x_d + deviation.reshape(steps + 1, _N) * SCALE
     horizon.u[:] = UNIT * torques
     return function.stats()["iter_count"]

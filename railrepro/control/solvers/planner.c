@@ -1,19 +1,19 @@
-/* A sample of a predictive controller of one gear without allocation: the linear time-variant problem, real-time iteration
-   of the nonlinear one, or its iterations until they converge. A sample has a largest time: active sets that do not settle
-   are found by a limited number of interior points; when these fail, or a value is not finite, the plan of the sample
-   before serves, one step later. Starts after riccati.c, interior.c and the indices of track parameters by name (THETA_…). */
+/* A sample of a predictive controller of one gear, without memory allocation: the linear time-variant problem, one real-time
+   iteration of the nonlinear problem, or its iterations until convergence. All loops are limited. When a problem is not solved
+   or a value is not finite, the controller follows the plan of the sample before. It needs riccati.c, interior.c and the
+   indices THETA_… of the track parameters. */
 
 enum { LINEAR, REAL_TIME, CONVERGED };
 enum { MOST_ITERATIONS = 30 };
-/* Converged when no torque moves by more than this (N m). */
+/* Largest change of a torque at convergence (N m). */
 static const double TOLERANCE = 1e-4;
 
-/* Torque within the bound of the sample. */
+/* Limit a torque to the bound of the sample. */
 static double bounded(const horizon_t *h, double torque) {
   return fmin(fmax(torque, -h->bound), h->bound);
 }
 
-/* Put a state and a base torque into the horizon, and the bound of the differential torque at its speed. */
+/* Set state and base torque of the horizon, and the bound of the differential torque at this speed. */
 static void enter(horizon_t *h, const double *x, double u_d) {
   double limit;
   const double *of[] = {x + STATE_xdot, h->par, h->drive};
@@ -24,14 +24,14 @@ static void enter(horizon_t *h, const double *x, double u_d) {
   h->bound = h->yielding ? limit : fmax(limit - fabs(u_d), 0);
 }
 
-/* Torque of the plan before at stage k of this sample, one step later. */
+/* Torque of the plan of the sample before at stage k of this sample. */
 static double planned(const horizon_t *h, casadi_int k) {
   return bounded(h, h->stage[k + 1 < h->steps ? k + 1 : k].plan);
 }
 
-/* Forecast, and the trajectory about which the model is linearised, for the linear problem centred riding along the forecast;
-   else that of the sample before, one step later, its end on the desired state, and at the start the desired states.
-   Linearises when that is done once only. */
+/* Compute the forecast and the trajectory about which the model is linearised. For the linear problem it is centred riding
+   along the forecast. Else it is the trajectory of the sample before, one step later, with the desired state at its end; a
+   first sample has the desired states. Linearise if this is done only once per sample. */
 static void prepare(horizon_t *h) {
   horizon_forecast(h);
   for (casadi_int k = 0; k <= h->steps; ++k) {
@@ -50,7 +50,7 @@ static void prepare(horizon_t *h) {
   if (h->mode != CONVERGED) horizon_linearise(h);
 }
 
-/* Take in the measured state, corrected by the observed offset, and the base torque; do what is not prepared yet. */
+/* Set the measured state, corrected by the observed offset, and the base torque. Prepare the problem if it is not prepared. */
 void planner_begin(horizon_t *h, const double *measured, double base) {
   const casadi_int prepared = h->mode == REAL_TIME && h->started;
   double *x = h->x_hat;
@@ -61,10 +61,10 @@ void planner_begin(horizon_t *h, const double *measured, double base) {
     x[STATE_psi_TrAx] += h->offset;
   }
   if (!prepared) prepare(h);
-  for (casadi_int k = 0; k < h->steps; ++k) h->stage[k].plan = planned(h, k);  /* serves when the problem is not solved */
+  for (casadi_int k = 0; k < h->steps; ++k) h->stage[k].plan = planned(h, k);  /* if the problem is not solved */
 }
 
-/* Torque (N m) from the problem, or when it was not solved from the plan of the sample before. */
+/* Torque (N m) of the solved problem, or if it was not solved of the plan of the sample before. */
 double planner_take(horizon_t *h, int failed) {
   stage_t *end = h->stage + h->steps;
   if (!failed && h->mode == REAL_TIME) horizon_apply(h);
@@ -78,7 +78,7 @@ double planner_take(horizon_t *h, int failed) {
   return h->stage->plan;
 }
 
-/* Newton iterations with full steps until no torque moves and the trajectory obeys the model; not 0 when they do not end. */
+/* Full Newton steps until no torque changes and the trajectory obeys the model. The result is not 0 if they do not converge. */
 static int converge(horizon_t *h) {
   for (; h->iterations <= MOST_ITERATIONS; ++h->iterations) {
     horizon_linearise(h);
@@ -95,9 +95,8 @@ static int converge(horizon_t *h) {
   return 1;
 }
 
-/* A sample as the closed loop asks for it, see sample_t of slots.c: torque (N m) at a measured state and a base torque.
-   Readings are not needed, the states were made of them. Real-time iteration then prepares the next sample, at the state
-   that it expects. */
+/* A sample for the closed loop, of the type sample_t of slots.c: torque (N m) at a measured state and a base torque. The
+   readings are not used. Real-time iteration then prepares the next sample at the predicted state. */
 double planner_sample(void *planner, const double *state, const double *readings, double base) {
   horizon_t *h = planner;
   (void)readings;

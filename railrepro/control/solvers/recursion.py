@@ -1,6 +1,6 @@
-"""The Riccati recursion as CasADi functions, with bounds as active sets and barrier terms for bounds. Hessians and
-gradients are CasADi's derivatives of the costs stated in `railrepro.control.problem`, all of them halved. Serves the
-paper's section Nonlinear Model Predictive Control. Source: Rao, Wright and Rawlings 1998."""
+"""The Riccati recursion as CasADi functions, with active sets and barrier terms for bounds. The costs are those of
+`railrepro.control.problem`; their derivatives are halved. Serves the paper's section Nonlinear Model Predictive
+Control. Source: Rao, Wright and Rawlings 1998."""
 
 from __future__ import annotations
 
@@ -13,30 +13,29 @@ from railrepro.model.control_model import STATES, Y
 
 
 def _halved(cost: ca.SX, by: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Hessian and gradient of a cost, both halved, dense."""
+    """Hessian and gradient of a cost, dense and halved."""
     hessian, gradient = ca.hessian(cost, by)
     return ca.densify(hessian / 2), ca.densify(gradient / 2)
 
 
 @stored
 def recursion(variant: str, discretisation: str) -> tuple[ca.Function, ca.Function, ca.Function]:
-    """CasADi functions of the Riccati recursion, for the quadratic problem in steps (dx, du) from a trajectory (x, u).
-
-    `variant` and `discretisation` of the prediction model are as in `MPCSettings`. Arguments of the functions:
+    """Make the CasADi functions of the Riccati recursion for the quadratic problem in steps (dx, du) from a trajectory
+    (x, u). `variant` and `discretisation` are as in `MPCSettings`. Arguments of the functions:
 
     - P, p: matrix and vector of the cost-to-go dx' P dx / 2 + p' dx;
     - x_next, x_plus, x_d: next state by the model, next state of the trajectory, desired state;
-    - A, B, tuning: derivatives as of `problem.dynamics`, tuning vector in the order of `problem.TUNING`;
-    - side: active lateral bound: 1 upper, -1 lower, 0 none;
-    - fixed, to_bound: where fixed is not 0, du is to_bound (N m), else feedback' dx + feed-forward;
-    - terms[4]: Hessian and gradient by the torque, then by y, that stand for the bounds in the interior point method.
+    - A, B, tuning: derivatives from `problem.dynamics`, tuning vector in the order of `problem.TUNING`;
+    - side: active lateral bound, 1 (upper), -1 (lower) or 0 (none);
+    - fixed, to_bound: du is to_bound (N m) if fixed is not 0, else feedback' dx + feed-forward;
+    - terms[4]: Hessian and gradient by the torque and by y that represent the bounds in the interior point method.
 
     Returns:
-        terminal (casadi.Function): (x[6], x_d[6], side, terms, tuning) -> P (6, 6), p[6] of the last stage.
-        backward (casadi.Function): (P, p, x_plus, x_next, A, B, u, fixed, to_bound, x, x_d, side, terms, tuning) -> P,
-            p one stage earlier, feedback[6], feed-forward.
-        forward (casadi.Function): (dx, feedback, feed-forward, x_next, x_plus, A, B, P, p, u, tuning) -> next dx[6],
-            du, half the derivative of the cost by the torque.
+        terminal: (x[6], x_d[6], side, terms, tuning) -> P (6, 6), p[6] of the last stage.
+        backward: (P, p, x_plus, x_next, A, B, u, fixed, to_bound, x, x_d, side, terms, tuning) -> P, p one stage
+            earlier, feedback[6], feed-forward.
+        forward: (dx, feedback, feed-forward, x_next, x_plus, A, B, P, p, u, tuning) -> next dx[6], du, half the
+            derivative of the cost by the torque.
     """
     n = len(STATES)
     x, x_d, x_next, x_plus, dx = (ca.SX.sym(name, n) for name in ("x", "x_d", "x_next", "x_plus", "dx"))
@@ -62,7 +61,7 @@ def recursion(variant: str, discretisation: str) -> tuple[ca.Function, ca.Functi
     offset = -free * (effort_slope + terms[1] + ca.dot(b, ahead)) / curvature + (1 - free) * to_bound
     cost = hessian + ca.mtimes(a.T, ca.mtimes(matrix, a)) + ca.mtimes(coupling, gain.T)
     cost_vector = gradient + ca.mtimes(a.T, ahead + pb * offset)
-    found = [ca.triu2symm(ca.triu(cost)), cost_vector, gain, offset]
+    stage = [ca.triu2symm(ca.triu(cost)), cost_vector, gain, offset]
 
     du = ca.dot(feedback, dx) + feedforward
     dx_next = ca.mtimes(a, dx) + b * du + gap
@@ -71,6 +70,6 @@ def recursion(variant: str, discretisation: str) -> tuple[ca.Function, ca.Functi
     on = [dx, feedback, feedforward, x_next, x_plus, a, b, matrix, vector, u, tuning]
     return (
         ca.Function("riccati_terminal", of_state, state_cost(problem.terminal_cost), {"cse": True}),
-        ca.Function("riccati_backward", back, list(map(ca.densify, found)), {"cse": True}),
+        ca.Function("riccati_backward", back, list(map(ca.densify, stage)), {"cse": True}),
         ca.Function("riccati_forward", on, list(map(ca.densify, [dx_next, du, slope])), {"cse": True}),
     )

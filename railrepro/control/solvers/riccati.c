@@ -1,8 +1,7 @@
-/* One sample of a predictive controller: forecast, linearise along the horizon, solve the quadratic problem by a Riccati
-   recursion inside an active-set loop. Knows nothing of railways: generated functions and tables of cells.
-   Starts after call.h, lanes.h, the generated functions of riccati.py, the indices of states and tuning by name (STATE_…,
-   TUNING_…), the numbers of states N, of track parameters N_THETA, of bounds of a stage BOUNDS, of columns of a cell N_CELL
-   and of entries N_A of the matrix A, the length of a cell CELL_STEP, and the prediction model prediction_lanes. */
+/* Steps of a sample of a predictive controller: forecast, linearisation along the horizon, and a Riccati recursion inside an
+   active-set method for the quadratic problem. It needs call.h, lanes.h, the generated functions of riccati.py, the prediction
+   model prediction_lanes, the indices STATE_… and TUNING_…, and the numbers of states N, of track parameters N_THETA, of bounds
+   of a stage BOUNDS, of columns of a cell N_CELL and of entries of the matrix A N_A, with the length of a cell CELL_STEP. */
 
 enum { FREE = 0, LOW = -1, HIGH = 1 };
 
@@ -11,10 +10,10 @@ typedef struct {
   double x_d[N], theta[N_THETA], x[N], u, plan;
   /* model along the trajectory */
   double x_next[N], a[N_A], b[N];
-  /* recursion: cost-to-go matrix and vector, feedback, feed-forward, steps, slope of the cost in the torque, active sets */
+  /* recursion: cost-to-go, feedback, feed-forward, steps, derivative of the cost by the torque, active bounds */
   double cost_matrix[N * N], cost_vector[N], feedback[N], feedforward, dx[N], du, slope, fixed, side;
-  /* interior.c: of every bound step of what it bounds, slack and multiplier, their steps, and what their product shall
-     become; weights and slopes that stand for the bounds in the recursion */
+  /* interior.c: for each bound the step of the bounded quantity, slack and multiplier with their steps, and the target of their
+     product; weights and slopes that represent the bounds in the recursion */
   double inner[BOUNDS], slack[BOUNDS], multiplier[BOUNDS], slack_step[BOUNDS], multiplier_step[BOUNDS], target[BOUNDS];
   double barrier[BOUNDS];
 } stage_t;
@@ -26,12 +25,12 @@ typedef struct {
   /* cells of the route; numbers of forecast, model, problem and drive */
   const double *cells, *nominal, *par, *tuning, *drive;
   stage_t *stage;  /* steps + 1 of them */
-  /* problem: measured state, base torque, bound of the differential torque */
+  /* measured state, base torque, bound of the differential torque */
   double x_hat[N], u_d, bound;
-  /* observed offset of the yaw angle, lateral position that is expected next */
+  /* observed offset of the yaw angle, predicted lateral position of the next sample */
   double offset, expected_y;
-  /* whether the last sample was solved, so that the next one starts from it; its iterations; samples that were not solved;
-     recursions that the last problem took */
+  /* whether the last sample was solved, so that the next one starts from it; its iterations; number of samples that were not
+     solved; recursions in the last problem */
   casadi_int started, iterations, fallbacks, passes;
 } horizon_t;
 
@@ -39,7 +38,7 @@ static const double *cell_at(const horizon_t *h, double p) {
   return row_at(h->cells, p, h->cell_start, CELL_STEP, h->n_cells, N_CELL);
 }
 
-/* Desired states x_d and track parameters theta of all stages. */
+/* Compute desired states x_d and track parameters theta of all stages. */
 void horizon_forecast(horizon_t *h) {
   for (casadi_int k = 0; k <= h->steps; ++k) {
     double t = (double)k * h->tuning[TUNING_period], at[2];
@@ -52,12 +51,12 @@ void horizon_forecast(horizon_t *h) {
   }
 }
 
-/* Next state and its derivatives at every stage of the trajectory, several stages side by side. */
+/* Compute the next state and its derivatives at all stages of the trajectory, several stages in one vector register. */
 void horizon_linearise(horizon_t *h) {
   for (casadi_int first = 0; first < h->steps; first += LANES) {
     lanes_t x[N], u, theta[N_THETA], x_next[N], a[N_A], b[N];
     for (casadi_int i = 0; i < LANES; ++i) {
-      /* the last group repeats the last stage */
+      /* the last stage fills the last group */
       const stage_t *s = h->stage + (first + i < h->steps ? first + i : h->steps - 1);
       for (int j = 0; j < N; ++j) x[j][i] = s->x[j];
       for (int j = 0; j < N_THETA; ++j) theta[j][i] = s->theta[j];
@@ -96,7 +95,7 @@ static void forward(horizon_t *h) {
   }
 }
 
-/* Move torques onto or off their bound and stages onto or off the soft lateral bound; returns how many moved. */
+/* Activate or release the bounds of torques and the soft lateral bound; returns the number of changes. */
 static casadi_int revise(horizon_t *h) {
   const double y_bound = h->tuning[TUNING_lateral_bound];
   casadi_int moved = 0;
@@ -104,7 +103,7 @@ static casadi_int revise(horizon_t *h) {
     double u = s->u + s->du, fixed = s->fixed;
     if (fixed == FREE)
       fixed = u > h->bound ? HIGH : u < -h->bound ? LOW : FREE;
-    else if (fixed * s->slope > 0)  /* the cost falls towards the inside */
+    else if (fixed * s->slope > 0)  /* the cost decreases away from the bound */
       fixed = FREE;
     if (fixed != s->fixed) s->fixed = fixed, ++moved;
     double y = s[1].x[STATE_y_TrAx] + s[1].dx[STATE_y_TrAx], side = y > y_bound ? 1 : y < -y_bound ? -1 : 0;
@@ -113,21 +112,21 @@ static casadi_int revise(horizon_t *h) {
   return moved;
 }
 
-/* Try `most` active sets, from those found; returns like horizon_solve. */
+/* Try at most `most` active sets, starting from the present one; returns like horizon_solve. */
 static int settle(horizon_t *h, casadi_int most) {
   const double *end = h->stage[h->steps].dx;
   for (casadi_int tried = 0; tried < most; ++tried) {
     ++h->passes;
     backward(h), forward(h);
     if (revise(h)) continue;
-    for (int i = 0; i < N; ++i)  /* what is not finite on the way stays so to the end */
+    for (int i = 0; i < N; ++i)  /* a value that is not finite reaches the end */
       if (!isfinite(end[i])) return 1;
     return 0;
   }
   return 2;
 }
 
-/* Take the steps dx, du; torques stay within their bound. */
+/* Add the steps dx, du to the trajectory. Torques stay within their bound. */
 void horizon_apply(horizon_t *h) {
   for (casadi_int k = 0; k <= h->steps; ++k) {
     stage_t *s = h->stage + k;

@@ -1,8 +1,8 @@
-"""The compiled horizon: forecast, linearisation and Riccati recursion of one sample, without Python between stages.
+"""The compiled horizon: forecast, linearisation and Riccati recursion of one sample in C.
 
-Torque limits and the soft lateral bound are active sets around the recursion. Where these do not settle, an interior
-point method on the same recursion finds them, so that a sample has a largest time. Source: Rao, Wright and Rawlings
-1998 (recursion, interior points); Mehrotra 1992 (their steps); Hintermueller, Ito and Kunisch 2002 (active sets).
+An active-set method finds the torques and positions at their bounds. Where it does not converge, an interior point
+method on the same recursion takes over, which limits the time of a sample. Source: Rao, Wright and Rawlings 1998
+(recursion, interior points); Mehrotra 1992 (their steps); Hintermueller, Ito and Kunisch 2002 (active sets).
 """
 
 from __future__ import annotations
@@ -24,45 +24,42 @@ from railrepro.model.control_model import STATES, THETA
 from railrepro.track.route import CELL, COLUMNS, Route
 
 MOST_SETS = 8
-"""Number of active sets tried in one quadratic problem; after them the interior point method solves it."""
-_SOURCES = [
-    Path(__file__).with_name(name).read_text(encoding="utf-8") for name in ("riccati.c", "interior.c", "planner.c")
-]
+"""Largest number of active sets tried in one quadratic problem before the interior point method solves it."""
+_FILES = ("riccati.c", "interior.c", "planner.c")
+_SOURCES = [Path(__file__).with_name(name).read_text(encoding="utf-8") for name in _FILES]
 
 
 @lru_cache
 def functions(variant: str, discretisation: str) -> tuple[ca.Function, ...]:
-    """CasADi functions that the C of `c_text` calls: `forecast.functions`, `recursion`, `torque_limit` as one tuple.
-    Model variant and discretisation are as in `MPCSettings`."""
+    """CasADi functions that the C of `c_text` calls. Model variant and discretisation are as in `MPCSettings`."""
     return *forecast.functions(), *recursion(variant, discretisation), torque_limit()
 
 
 def _sizes(variant: str, discretisation: str) -> dict[str, int]:
-    """Numbers of states, track parameters, columns of a cell, entries of the matrix A, and bounds of a stage."""
+    """Sizes of the arrays in C, by name."""
     entries = dynamics(variant, discretisation).nnz_out(1)
     return {"N": len(STATES), "N_THETA": len(THETA), "N_CELL": len(COLUMNS), "N_A": entries, "BOUNDS": 4}
 
 
 @codegen.stored
 def _lanes(variant: str, discretisation: str) -> str:
-    """C of the model along a trajectory, several stages at a time."""
+    """C of the prediction model for several stages at a time."""
     return lanes_text(dynamics(variant, discretisation), common=("u_d", "par", "T", "affine"))
 
 
 def c_text(variant: str, discretisation: str) -> str:
-    """C text of riccati.c, interior.c and planner.c, with arguments as in `functions`. In a source it has to follow
-    call.h and the C generated from `functions`."""
-    names = {"STATE": STATES, "TUNING": TUNING, "THETA": THETA}
+    """C text of riccati.c, interior.c and planner.c, to be placed after call.h and the C of `functions`, with the same
+    arguments."""
     extra = lanes_header()
-    extra += "".join(codegen.enumeration(f"{kind}_{name}" for name in entries) for kind, entries in names.items())
+    for prefix, entries in {"STATE": STATES, "TUNING": TUNING, "THETA": THETA}.items():
+        extra += codegen.enumeration(f"{prefix}_{name}" for name in entries)
     extra += codegen.enumeration(f"{name} = {size}" for name, size in _sizes(variant, discretisation).items())
-    extra += codegen.defines({"CELL_STEP": CELL})
-    return extra + _lanes(variant, discretisation) + "".join(_SOURCES)
+    return extra + codegen.defines({"CELL_STEP": CELL}) + _lanes(variant, discretisation) + "".join(_SOURCES)
 
 
 @lru_cache
 def _compiled(variant: str, discretisation: str) -> tuple[ctypes.CDLL, Any, Any]:
-    """The shared object, and `horizon_t` and `stage_t` of riccati.c."""
+    """The shared object, and the ctypes classes of `horizon_t` and `stage_t` of riccati.c."""
     loaded = codegen.library(functions(variant, discretisation), codegen.PREAMBLE + c_text(variant, discretisation))
     loaded.planner_sample.restype = loaded.planner_take.restype = ctypes.c_double
     sizes = _sizes(variant, discretisation)
@@ -70,24 +67,19 @@ def _compiled(variant: str, discretisation: str) -> tuple[ctypes.CDLL, Any, Any]
 
 
 class Horizon:
-    """Problem, trajectory and compiled solver of one predictive controller. Arrays are views of its memory in C (SI).
+    """Problem, trajectory and compiled solver of one predictive controller over L = `settings.steps` time steps.
 
-    Active sets are kept from one problem to the next. L is `settings.steps`.
-
-    Args:
-        settings (MPCSettings): Weights, horizon, bounds.
-        nominal (ndarray, shape (3,)): In the order of `model.forecast.NOMINAL`.
-        parameters (ndarray, shape (14,)): In the order of `model.parameters.PARAMETERS`.
-        route (Route): Track and set point ahead.
+    The arguments `nominal` (3,) and `parameters` (14,) are vehicle data in the order of `model.forecast.NOMINAL` and
+    `model.parameters.PARAMETERS`. Arrays are views of the memory in C (SI). Each problem starts from the active sets of
+    the problem before.
 
     Attributes:
         x_hat (ndarray, shape (6,)): Measured state.
         x_d, theta (ndarray, shapes (L + 1, 6), (L + 1, 9)): Forecast of desired states and track parameters.
-        x, u (ndarray, shapes (L + 1, 6), (L,)): Trajectory of states and differential torques; `x[0]` need not be
-            `x_hat`.
+        x, u (ndarray, shapes (L + 1, 6), (L,)): Trajectory of states and torques. `x[0]` may differ from `x_hat`.
         plan (ndarray, shape (L,)): Differential torques of the plan (N m).
         stages (ndarray, shape (L + 1,)): All stages as a structured array, `stage_t` of riccati.c.
-        c (ctypes.Structure), pointer: `horizon_t` of riccati.c; pointer to `c` for calls of `library`.
+        c (ctypes.Structure), pointer: `horizon_t` of riccati.c, and a pointer to it for calls of `library`.
         library (ctypes.CDLL): The functions of riccati.c and planner.c.
     """
 
@@ -97,7 +89,7 @@ class Horizon:
         self.stages = np.zeros(settings.steps + 1, of_stage)
         self.x_d, self.theta, self.x = (self.stages[name] for name in ("x_d", "theta", "x"))
         self.u, self.plan = (self.stages[name][:-1] for name in ("u", "plan"))
-        # C has the addresses of these
+        # C gets the addresses of these arrays
         self.tables = {"nominal": nominal.astype(float), "par": parameters.astype(float), "tuning": settings.tuning()}
         self.tables |= {"cells": cells, "stage": self.stages}
         self.c = of_horizon(
@@ -108,16 +100,8 @@ class Horizon:
         self.x_hat, self.pointer = codegen.arrays(self.c)["x_hat"], ctypes.byref(self.c)
 
     def forecast(self, x_hat: np.ndarray, u_d: float) -> forecast.Forecast:
-        """Compute desired states and track parameters over the horizon, which are stored in `x_d` and `theta`.
-
-        Args:
-            x_hat (ndarray, shape (6,)): Measured state: track coordinate (m), heading (rad), speed (m/s), yaw rate
-                (rad/s), lateral displacement (m), yaw angle against the track (rad).
-            u_d (float): Base torque per wheel (N m), taken as constant over the horizon.
-
-        Returns:
-            Forecast: Copies of `x_d`, shape (L + 1, 6), and `theta`, shape (L + 1, 9).
-        """
+        """Compute `x_d` and `theta`, and return copies of them, for a measured state (6,) (SI) and a base torque per
+        wheel (N m), which is constant over the horizon."""
         self.x_hat[:], self.c.u_d = x_hat, u_d
         self.library.horizon_forecast(self.pointer)
         return forecast.Forecast(self.x_d.copy(), self.theta.copy())
