@@ -6,16 +6,16 @@ rails lie beside the track as white noise through the spectrum of ERRI B176 over
     S(Omega) = A Omega_c^2 / ((Omega^2 + Omega_r^2) (Omega^2 + Omega_c^2)).
 
 Readings have the noise of the sensors; the read yaw angle and yaw rate have biases that drift. There are two Kalman
-filters, for ideal and for rough rails; their states are weighed by the likelihood of their innovations. With
-the displacement y_k from the set point over the rails, the yaw rate r_k against the track and the torque du_k, the
+filters, for ideal and for rough rails; their states are weighed by the likelihood of their innovations. With the
+displacement y_k from the set point over the rails, the yaw rate r_k against the track and the torque du_k, the
 regulator minimises
 
     sum_k  y_k^2 + w^2 v / (100 m/s) r_k^2 + rho (du_k - du_(k-1))^2
 
 over an infinite horizon at the speed v; the track ahead is known over a preview and constant behind it. A yaw rate is
 needed for no steady state, so its weight w damps without an offset. The rear gear knows the rails that the front gear
-found, by a smoother of fixed lag. Source: Anderson and Moore 1990, Optimal Control, ch. 2, 4 and 8;
-Anderson and Moore 1979, Optimal Filtering, ch. 7 (smoothing) and 10 (several models).
+found, by a smoother of fixed lag. Source: Anderson and Moore 1990, Optimal Control, ch. 2, 4 and 8; Anderson and Moore
+1979, Optimal Filtering, ch. 7 (smoothing) and 10 (several models).
 """
 
 from __future__ import annotations
