@@ -10,7 +10,6 @@ import numbers
 import reprlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -91,7 +90,13 @@ class Swarm:
 
         A cost of inf or NaN is worst. InputError for -inf, for what is no number, and for another number of costs.
         """
-        checked, n = self._checked(costs), len(self.dimensions)
+        given, n = list(costs) if isinstance(costs, Iterable) else [costs], len(self.dimensions)
+        wrong = [cost for cost in given if not isinstance(cost, numbers.Real) or cost == -math.inf]
+        if wrong or len(given) != len(self.position):
+            found = reprlib.repr(wrong[0]) if wrong else f"{len(given)} costs"
+            needed = f"{len(self.position)} numbers above -inf are needed"
+            raise InputError(f"swarm: the cost function gave {found}, {needed}")
+        checked = np.where(np.isfinite(given), given, np.inf)
         for i, (values, cost) in enumerate(zip(self.ask(), checked, strict=True)):
             self.rows.append({"iteration": self.iteration, "particle": i, "cost": float(cost), **values})
         better = checked < self.own_cost
@@ -107,15 +112,6 @@ class Swarm:
         moved = np.where(low, -moved, np.where(high, 2 - moved, moved))
         self.velocity = np.where(low | high, -0.5 * self.velocity, self.velocity)
         self.position = np.clip(moved, 0, 1)
-
-    def _checked(self, costs: Any) -> np.ndarray:
-        """Costs as an array, inf where one is not finite."""
-        values, particles = list(costs) if isinstance(costs, Iterable) else [costs], len(self.position)
-        wrong = [value for value in values if not isinstance(value, numbers.Real) or value == -math.inf]
-        if wrong or len(values) != particles:
-            given = reprlib.repr(wrong[0]) if wrong else f"{len(values)} costs"
-            raise InputError(f"swarm: the cost function gave {given}, {particles} numbers above -inf are needed")
-        return np.where(np.isfinite(values), values, np.inf)
 
     @property
     def best(self) -> dict[str, float]:

@@ -44,20 +44,15 @@ def tune(controller: str, task: Task | str = PAPER, quiet: bool = False) -> dict
         swarms[seed] = swarm.minimise(costs, seed=seed, title=title, **searched, **budget)
     best = min(swarms.values(), key=lambda swarm: swarm.cost)
     cost, parts = ordered_map(evaluated, [best.best], controller, quiet=True)[0]
-    return {
-        "controller": controller,
-        "setting": task.setting,
-        "parameters": best.best,
-        "cost": cost,
-        "runs": parts,
-        "margins": margins(controller, task, best.best),
-        "swarms": [
-            {"seed": seed, "cost": swarm.cost, "evaluations": len(swarm.rows), "parameters": swarm.best}
-            for seed, swarm in swarms.items()
-        ],
-        "origin": {"version": __version__} | task.budget,
-        "history": pd.concat([swarm.history.assign(seed=seed) for seed, swarm in swarms.items()], ignore_index=True),
-    }
+    result = {"controller": controller, "setting": task.setting, "parameters": best.best, "cost": cost, "runs": parts}
+    result["margins"] = margins(controller, task, best.best)
+    result["swarms"] = [
+        {"seed": seed, "cost": swarm.cost, "evaluations": len(swarm.rows), "parameters": swarm.best}
+        for seed, swarm in swarms.items()
+    ]
+    result["origin"] = {"version": __version__} | task.budget
+    history = [swarm.history.assign(seed=seed) for seed, swarm in swarms.items()]
+    return result | {"history": pd.concat(history, ignore_index=True)}
 
 
 def margins(controller: str, task: Task, parameters: dict) -> list[dict]:
@@ -95,13 +90,8 @@ def by_rule(controller: str, task: Task) -> dict:
     """
     given = task.rule[controller]
     parameters = triple_pole(fastest_pole(controller, task, given)) | given
-    return {
-        "controller": controller,
-        "setting": task.setting,
-        "parameters": parameters,
-        "margins": margins(controller, task, parameters),
-        "origin": {"version": __version__},
-    }
+    result = {"controller": controller, "setting": task.setting, "parameters": parameters}
+    return result | {"margins": margins(controller, task, parameters), "origin": {"version": __version__}}
 
 
 def main(names: list[str]) -> None:
