@@ -36,11 +36,6 @@ def test_a_list_drives_each_of_its_values_and_labels_the_numbers(asked):
     assert list(runs.table("rmse_mm").xs("ndi", level="controller")["rmse_mm"]) == [1e3, 3e3, 5e3, 7e3]
 
 
-def test_an_empty_list_is_refused():
-    with pytest.raises(InputError, match="there is no run"):
-        compare("sine_tracking", ["nmpc"], speed_kmh=[])
-
-
 def test_a_list_with_one_value_is_a_label_as_with_two(asked):
     runs = compare(["sine_tracking"], {"NDI": "ndi"}, ["paper"], end_m=[30.0])
     assert runs.labels == ("setting", "scenario", "end_m", "case")

@@ -83,8 +83,7 @@ def test_a_study_apart_has_processes_of_its_own_which_end_with_it(monkeypatch):
     """For code that may end its process or never come back."""
     monkeypatch.setattr(executors, "_FEW", 9)
     before = set(psutil.Process().children(recursive=True))
-    others = ordered_map(partial(work, process), [0, 1], "apart", quiet=True, apart=True)
-    assert os.getpid() not in others
+    assert os.getpid() not in ordered_map(lambda _: work(os.getpid), [0, 1], "apart", quiet=True, apart=True)
     for function, fault in ((partial(work, time.sleep, limit=1), TimeoutError), (partial(work, os._exit), InputError)):
         with pytest.raises(fault):
             ordered_map(function, [300], "apart", quiet=True, apart=True)
@@ -134,16 +133,12 @@ def test_workers_end_with_a_killed_parent(tmp_path):
     assert not psutil.wait_procs(workers, timeout=120)[1]
 
 
-def process(_):
-    return os.getpid()
-
-
 def test_a_study_runs_on_a_dask_cluster(monkeypatch):
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
         monkeypatch.setenv("RAILREPRO_DASK", cluster.scheduler_address)
         assert ordered_map(partial(work, abs), [0, -1, 2], "first", quiet=True) == [0, 1, 2]
-        assert os.getpid() not in ordered_map(partial(work, process), range(4), "elsewhere", quiet=True)
+        assert os.getpid() not in ordered_map(lambda _: work(os.getpid), range(4), "elsewhere", quiet=True)
     monkeypatch.setenv("RAILREPRO_DASK", "tcp://127.0.0.1:1")
     with pytest.raises(InputError, match="no Dask scheduler answers at RAILREPRO_DASK"), executor():
         pass

@@ -1,16 +1,13 @@
 """Tuning: graded cost, tuned sets and their origin, any number of processes."""
 
-import shutil
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 
-from railrepro import paths
 from railrepro.control.ndi import NDI
-from railrepro.control.registry import BY_SWARM, INVERSIONS, LOOP, SETTINGS, SHOWN, TUNED, read
-from railrepro.data import InputError
+from railrepro.control.registry import BY_SWARM, INVERSIONS, LOOP, SETTINGS, SHOWN, read
 from railrepro.simulation import simulate
 from railrepro.studies.experiment import Experiment
 from railrepro.tuning import cost as costs
@@ -64,18 +61,6 @@ def test_a_set_without_the_margin_costs_more_the_more_it_misses():
     slow_only = replace(shortened(task, 60.0, "sine"), margin={"least": 0.65, "speeds_kmh": [100, 200, 400]})
     cost, parts = evaluate("ndi", slow_only, POLES)  # margins 0.71, 0.64 and 0.51
     assert [part["run"] for part in parts] == ["sine"] and failure < cost < 1.1 * failure
-
-
-def test_tuned_sets_of_another_controller_or_setting_are_refused(tmp_path):
-    shutil.copy(paths.source(TUNED) / "paper" / "ndi.json", tmp_path)
-    with pytest.raises(InputError, match="no tuned set for 'nmpc'"):
-        read("nmpc", "paper", tmp_path)
-    with pytest.raises(InputError, match="holds a tuned set of 'ndi' in the setting 'paper'"):
-        read("ndi", "loop", tmp_path)
-    file = tmp_path / "ndi.json"
-    file.write_text(file.read_text().replace('"pole": ', '"pole": NaN, "other": '))
-    with pytest.raises(InputError, match="ndi.json: parameters: pole is nan, a number "):
-        read("ndi", "paper", tmp_path)
 
 
 @pytest.fixture(scope="module")

@@ -16,6 +16,7 @@ from railrepro import (
     LqgPreview,
     Readings,
     SteppedCar,
+    compare,
     figures,
     lay,
     load_loop,
