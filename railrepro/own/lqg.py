@@ -5,8 +5,8 @@ white noise through the spectrum of ERRI B176 over the distance,
 
     S(Omega) = A Omega_c^2 / ((Omega^2 + Omega_r^2) (Omega^2 + Omega_c^2)).
 
-Readings have the noise of the sensors, and the read yaw angle and yaw rate have biases that drift. The states of two
-Kalman filters, one for ideal and one for rough rails, are weighted by the likelihood of their innovations. The
+Readings have the noise of the sensors, and the measured yaw angle and yaw rate have biases that drift. The states of
+two Kalman filters, one for ideal and one for rough rails, are weighted by the likelihood of their innovations. The
 regulator minimises, over an infinite horizon at the speed v,
 
     sum_k  y_k^2 + w^2 v / (100 m/s) r_k^2 + rho (du_k - du_(k-1))^2
@@ -51,8 +51,7 @@ _SMOOTH = 1e-12
 _LEAK = 1 / 30
 """Rate at which random walks return to zero (1/s): slower than any run, but stable."""
 _N, _RAIL, _RATE, _MODEL, _FREE = len(STATES), *(len(STATES) + k for k in (2, 3, 4, 6))
-"""Number of states of the gear; indices of rail offset and its rate; number of states of the model without and with
-biases."""
+"""Number of states of the gear; indices of rail offset and its rate; numbers of states without and with biases."""
 
 
 class Design:
@@ -62,7 +61,7 @@ class Design:
     Attributes:
         a, b, e (ndarray, shapes (10, 10), (10,), (10, 7)): Model over 1 ms, x+ = a x + b du + e known. x has
             `gear_model.STATES`, unknown force and moment, lateral offset of the rails (m) and its rate (m/s).
-        late (int): Time from a reading to the torque (ms); 0 without sensors.
+        delay (int): Time from a reading to the torque (ms); 0 without sensors.
         sent (int): Number of torques that are delayed or act, at least 1.
         rails (tuple of float): Amplitude A of the rail spectrum in both filters (m rad).
         read (ndarray, shape (3, 12)): Maps x and the biases of psi and r to the readings of y, psi and r.
@@ -72,8 +71,8 @@ class Design:
 
     def __init__(self, vehicle: Vehicle, speed: float, settings: LqgPreview, loop: Loop | None):
         self.speed, self.settings, h = speed, settings, CONTROL_PERIOD
-        self.late = 0 if loop is None else 1 + round((loop.latency.measurement + loop.latency.command) / h)
-        self.sent = max(self.late, 1)
+        self.delay = 0 if loop is None else 1 + round((loop.latency.measurement + loop.latency.command) / h)
+        self.sent = max(self.delay, 1)
         self.rails = _SMOOTH, _SMOOTH if loop is None else settings.rails
         self.noise, self.drift = np.array([1e-6, 1e-6, 1e-5]), np.full(2, 1e-9)  # least ones, for regular equations
         if loop is not None:  # a bias drifts with the variance with which it is drawn
@@ -133,8 +132,8 @@ class Design:
         a, b, error = np.zeros((n, n)), np.zeros(n), np.zeros(n)
         a[:_MODEL, :_MODEL], a[_MODEL, _MODEL], b[_MODEL] = self.a, 1.0, 1.0
         a[_MODEL + 1 :, _MODEL:-1] = np.eye(self.sent - 1)
-        a[:_MODEL, _MODEL + max(self.late - 1, 0)] = self.b
-        if self.late == 0:  # the torque that is chosen now acts at once: the last one and its change
+        a[:_MODEL, _MODEL + max(self.delay - 1, 0)] = self.b
+        if self.delay == 0:  # the torque that is chosen now acts at once: the last one and its change
             b[:_MODEL] = self.b
         error[STATES.index("y")], error[_RAIL] = 1.0, -1.0
         units = np.append(self._units, np.full(self.sent, 100.0))
@@ -187,19 +186,19 @@ def riccati(a: np.ndarray, b: np.ndarray, q: np.ndarray, units: np.ndarray) -> n
 
 @lru_cache(maxsize=1)
 def designs(vehicle: Vehicle, settings: LqgPreview, loop: Loop | None) -> tuple[int, np.ndarray]:
-    """Make the designs at all `SPEEDS`; returns `Design.late`, and an array (46, n) of `Design.table` at each speed."""
+    """Make the designs at all `SPEEDS`; returns `Design.delay`, and an array (46, n) with `Design.table` of each."""
     made = [Design(vehicle, speed, settings, loop) for speed in SPEEDS]
-    return made[0].late, np.array([design.table() for design in made])
+    return made[0].delay, np.array([design.table() for design in made])
 
 
 _SOURCE = Path(__file__).with_suffix(".c").read_text(encoding="utf-8")
 
 
-def _source(late: int, taps: int) -> tuple[str, dict[str, int]]:
+def _source(delay: int, taps: int) -> tuple[str, dict[str, int]]:
     """C source of a control cycle, to stand below call.h, and sizes of its arrays; arguments as of `library`."""
     sizes = {"MODEL": _MODEL, "FREE": _FREE, "RAIL": _RAIL, "BIAS": _MODEL, "KNOWN": len(KNOWN), "WIDTH": len(COLUMNS)}
     sizes |= {"SIGNALS": 3, "FILTERS": 2, "LAGS": LAGS, "TAPS": taps}
-    sizes |= {"LATE": late, "SENT": max(late, 1), "TORQUES": max(late, 1) + 1}
+    sizes |= {"LATE": delay, "SENT": max(delay, 1), "TORQUES": max(delay, 1) + 1}
     columns = {f"AT_{name}": i for name, i in INDEX.items()} | {f"K_{name.upper()}": i for i, name in enumerate(KNOWN)}
     speeds = {"LEAST_SPEED": SPEEDS[0], "LOG_STEP": np.log(SPEEDS[1] / SPEEDS[0]), "PERIOD": CONTROL_PERIOD}
     defined = sizes | columns | speeds | {"TAP": TAP, "LAG": LAG, "PITCH": PITCH, "CELL": CELL}
@@ -207,10 +206,10 @@ def _source(late: int, taps: int) -> tuple[str, dict[str, int]]:
 
 
 @lru_cache
-def library(late: int, taps: int) -> tuple[ctypes.CDLL, Any]:
-    """Compile lqg.c for `Design.late` and a number of points of the preview; returns the shared object and the ctypes
+def library(delay: int, taps: int) -> tuple[ctypes.CDLL, Any]:
+    """Compile lqg.c for `Design.delay` and a number of points of the preview; returns the shared object and the ctypes
     class of its struct `lqg_t`."""
-    text, sizes = _source(late, taps)
+    text, sizes = _source(delay, taps)
     loaded = codegen.library((), codegen.PREAMBLE + text)
     loaded.lqg_sample.restype = ctypes.c_double
     return loaded, codegen.structure("lqg_t", _SOURCE, sizes)
@@ -228,9 +227,9 @@ class LqgGear:
     def compiled(self, loop: Loop | None, leader: object = None) -> tuple[int, int]:
         """Make the controller; returns the addresses of its C function and memory, see `lateral.SlowController`. The
         rear gear gets the rails that its `leader`, the front gear, estimates if it is an `LqgGear`, too."""
-        (late, table), vehicle, cells = designs(self.vehicle, self.settings, loop), self.vehicle, self.route.cells
+        (delay, table), vehicle, cells = designs(self.vehicle, self.settings, loop), self.vehicle, self.route.cells
         acceleration, partner, _ = nominal_values(vehicle, self.gear)
-        self.sizes = late, round(self.settings.preview / TAP) + 1
+        self.sizes = delay, round(self.settings.preview / TAP) + 1
         self.library, of_gear = library(*self.sizes)
         rows = round(len(cells) * CELL / PITCH)
         self.tables = {"designs": table, "route": cells, "rails": np.zeros((rows, 2))}
@@ -238,7 +237,7 @@ class LqgGear:
             speeds=len(table),
             cells=len(cells),
             rows=rows,
-            behind=max(late - 1, 0) * CONTROL_PERIOD,
+            behind=max(delay - 1, 0) * CONTROL_PERIOD,
             torque_limit=vehicle.drive.torque_limit,
             acceleration=acceleration,
             gravity=vehicle.gravity,

@@ -74,7 +74,7 @@ class Comparison:
 
         Args:
             panels (str): Keys of `simulation.plot.PANELS`, one per row; "y" and "error" if there are none.
-            columns (str): Label, as "car", each value of which has a column of panels; "" is one column.
+            columns (str): Label, as "car", whose values have a column of panels each; "" for one column.
             height (float): Height of a row (in).
             more (int): Number of empty rows below, for other diagrams.
         """
@@ -96,10 +96,8 @@ class Comparison:
         return figure
 
     def draw(self, axes: Sequence[Axes], panels: Sequence[str], series: pd.DataFrame) -> None:
-        """Draw runs over the track coordinate (m) into existing `axes`, one for each of `panels` (names).
-
-        `series` has rows of `self.series`. The left wheel is paler than the right one.
-        """
+        """Draw rows of `self.series` over the track coordinate (m) into existing `axes`, one for each of `panels`
+        (names). The left wheel is paler than the right one."""
         chosen = plot.chosen(panels)
         labels = [name for name in self.labels if name == "controller" or series[name].nunique() > 1] or ["controller"]
         drawn: list[str] = []
@@ -132,9 +130,9 @@ def compare(
     Args:
         scenario (str, Scenario, list or mapping): Name in data/scenarios.toml or a `Scenario`; a list of these, or a
             mapping of names to scenarios.
-        controllers (sequence or mapping): Keys of `CONTROLLERS`; or name in tables -> key, or -> dict with the key
-            controller, and as needed r_times (factor on R) and fields of `Experiment`.
-        setting (str or list): Setting of comparison whose tuned sets are taken; `loop` has sensors.
+        controllers (sequence or mapping): Keys of `CONTROLLERS`; or a mapping of names in tables to keys, or to dicts
+            with the entry controller (a key) and, if needed, r_times (factor on R) and fields of `Experiment`.
+        setting (str or list): Setting of comparison, from which tuned sets are taken; `loop` has sensors.
         car (mapping, optional): Name -> `World`, each with its own car, controllers and scenarios.
         solver (str): Solver of NMPC: rti, gauss_newton or ipopt.
         noise_seed (int): Random seed of the sensors in the setting `loop`.

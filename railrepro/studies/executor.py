@@ -52,8 +52,8 @@ def executor() -> Iterator[futures.Executor]:
     """Context manager of the processes that compute simulations.
 
     They are those of the Dask scheduler at the address RAILREPRO_DASK (environment variable), or else local
-    (`workers`). Local ones stay for the next study; an exception (also Ctrl-C) ends them. InputError for an address
-    that is none or does not answer, and without the package distributed.
+    (`workers`). Local ones stay for the next study; an exception (also Ctrl-C) ends them. InputError if no scheduler
+    answers at the address, or the package distributed is missing.
     """
     if address := os.environ.get("RAILREPRO_DASK"):
         with _client(address) as client:

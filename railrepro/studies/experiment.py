@@ -98,7 +98,7 @@ class Experiment:
             route=around.route,
             sensors=around.sensors,
             substeps=1 + bool(self.ride and self.irregular) if self.substeps is None else self.substeps,
-            vehicle=around.believed,
+            vehicle=around.nominal,
             plant_vehicle=around.car,
             adhesion=self.adhesion,
             fixed_share=self.fixed_share,
@@ -122,9 +122,9 @@ class Experiment:
         if not _is_ours(self.controller):
             return None
         around = self._surroundings().digest
-        own = {name: value for name, value in vars(self).items() if name not in ("label", "setting", *_AROUND)}
-        own |= {"parameters": self.tuned()}
-        return around and store.key(measure.__module__, measure.__qualname__, around, own)
+        others = {name: value for name, value in vars(self).items() if name not in ("label", "setting", *_AROUND)}
+        others |= {"parameters": self.tuned()}
+        return around and store.key(measure.__module__, measure.__qualname__, around, others)
 
     def measured(self, measure: Measure) -> store.Entry:
         """Return `measure(run, experiment)` for this run, read from the store or simulated by `executor.work`.
@@ -168,13 +168,13 @@ class Experiment:
 
 
 class Surroundings(NamedTuple):
-    """What surrounds the controllers in a run. Runs of a study share it, so nothing of it may be changed.
+    """Car, route and sensors around the controllers of a run. Runs of a study share them, so they must not be changed.
 
-    `believed` is the car that the controllers assume, `car` the simulated one. `digest` is a hash of the values from
-    which all this follows, None for a value that `store` does not take.
+    `nominal` is the car that the controllers assume, `car` the simulated one. `digest` is a hash of all values from
+    which these follow; None if `store` does not take one of them.
     """
 
-    believed: Vehicle
+    nominal: Vehicle
     car: Vehicle
     route: Route
     sensors: sensors.Readings | None
@@ -193,25 +193,25 @@ def _shared(packed: bytes, _files: tuple) -> Surroundings:
     return _made(Experiment(controller=registry.NOTHING, **dict(zip(_AROUND, pickle.loads(packed), strict=True))))
 
 
-def _made(of: Experiment) -> Surroundings:
+def _made(experiment: Experiment) -> Surroundings:
     spectra = code.signature(paths.source("data/irregularities.toml"))
-    rails = _rails(of.scenario.end_m, json.dumps(of.irregular), json.dumps(of.preview), spectra)
-    if of.alignment is None:
-        track = load_track(of.scenario.track_file())
-        route, table = of.scenario.route(*rails), (track.table.to_numpy(), track.design_speed)
+    rails = _rails(experiment.scenario.end_m, json.dumps(experiment.irregular), json.dumps(experiment.preview), spectra)
+    if experiment.alignment is None:
+        track = load_track(experiment.scenario.track_file())
+        route, table = experiment.scenario.route(*rails), (track.table.to_numpy(), track.design_speed)
     else:
         with scratch() as folder:
-            file = folder / f"{of.alignment.name}.csv"
-            write_table(build_table(of.alignment), file)
-            route, table = of.scenario.but(track=str(file)).route(*rails), None
+            file = folder / f"{experiment.alignment.name}.csv"
+            write_table(build_table(experiment.alignment), file)
+            route, table = experiment.scenario.but(track=str(file)).route(*rails), None
     route.cells.flags.writeable = False
-    believed, car, digest = load_vehicle(**of.vehicle), of.car(), None
-    readings = sensors.readings(**of.sensors) if of.sensors else None
-    scenario = {name: value for name, value in vars(of.scenario).items() if name not in ("name", "track")}
-    loop = (of.sensors, sensors.load_loop()) if of.sensors else None
+    nominal, car, digest = load_vehicle(**experiment.vehicle), experiment.car(), None
+    readings = sensors.readings(**experiment.sensors) if experiment.sensors else None
+    scenario = {name: value for name, value in vars(experiment.scenario).items() if name not in ("name", "track")}
+    loop = (experiment.sensors, sensors.load_loop()) if experiment.sensors else None
     with suppress(TypeError):
-        digest = store.digest(scenario, table, of.alignment, believed, car, rails, of.preview, loop)
-    return Surroundings(believed, car, route, readings, digest)
+        digest = store.digest(scenario, table, experiment.alignment, nominal, car, rails, experiment.preview, loop)
+    return Surroundings(nominal, car, route, readings, digest)
 
 
 @lru_cache(maxsize=64)
@@ -220,8 +220,10 @@ def _rails(end: float, irregular: str, known: str, spectra: tuple | None) -> tup
 
     `irregular` and `known` are the fields irregular and preview as JSON, `spectra` is the state of the file of spectra.
     """
+    if irregular == known == "{}":
+        return None, None
     if known == "{}":
-        return None if irregular == "{}" else rough_track(np.arange(0.0, end, CELL), **json.loads(irregular)), None
+        return rough_track(np.arange(0.0, end, CELL), **json.loads(irregular)), None
     if irregular == "{}":
         raise InputError("preview: the track is ideal, `irregular` is needed to know anything of it")
     asked, allowed = json.loads(known), [*inspect.signature(preview.plan).parameters][1:]

@@ -36,9 +36,8 @@ class World:
         """
         given = {"options": CONTROLLERS[controller].quick, "sensors": self.sensors, "setting": self.setting} | more
         given |= {name: getattr(self, name) | more.get(name, {}) for name in ("vehicle", "plant")}
-        return Experiment(
-            scenario, self.driver(controller), parameters=parameters or self.parameters[controller], **given
-        )
+        given["parameters"] = parameters or self.parameters[controller]
+        return Experiment(scenario, self.driver(controller), **given)
 
     def driver(self, controller: str) -> str:
         """Key of `registry.CONTROLLERS` of the controller that is called `controller` here."""

@@ -64,18 +64,18 @@ class Swarm:
 
     def __init__(self, dimensions: list[Dimension], particles: int, seed: int, start: dict[str, float] | None = None):
         self.dimensions, self.seed, self.iteration = dimensions, seed, 0
-        self.own_cost = np.full(particles, np.inf)
+        self.personal_cost = np.full(particles, np.inf)
         self.rows: list[dict] = []
         self.position = self._random(len(dimensions))
         if start:
             if set(start) != {d.name for d in dimensions}:
                 raise InputError(f"start has {sorted(start)}, {sorted(d.name for d in dimensions)} are needed")
             self.position[0] = [d.position(start[d.name]) for d in dimensions]
-        self.own_position, self.velocity = self.position.copy(), np.zeros_like(self.position)
+        self.personal_best, self.velocity = self.position.copy(), np.zeros_like(self.position)
 
     def _random(self, count: int) -> np.ndarray:
         """Random numbers, `count` per particle; each particle and iteration has a seed of its own."""
-        seeds = [(self.seed, self.iteration, particle) for particle in range(len(self.own_cost))]
+        seeds = [(self.seed, self.iteration, particle) for particle in range(len(self.personal_cost))]
         return np.array([np.random.default_rng(seed).random(count) for seed in seeds])
 
     def ask(self) -> list[dict[str, float]]:
@@ -99,12 +99,12 @@ class Swarm:
         checked = np.where(np.isfinite(given), given, np.inf)
         for i, (values, cost) in enumerate(zip(self.ask(), checked, strict=True)):
             self.rows.append({"iteration": self.iteration, "particle": i, "cost": float(cost), **values})
-        better = checked < self.own_cost
-        self.own_cost = np.where(better, checked, self.own_cost)
-        self.own_position[better] = self.position[better]
+        better = checked < self.personal_cost
+        self.personal_cost = np.where(better, checked, self.personal_cost)
+        self.personal_best[better] = self.position[better]
         self.iteration += 1
-        leader, draw = self.own_position[np.argmin(self.own_cost)], self._random(2 * n)
-        pull = ATTRACTION * draw[:, :n] * (self.own_position - self.position)
+        leader, draw = self.personal_best[np.argmin(self.personal_cost)], self._random(2 * n)
+        pull = ATTRACTION * draw[:, :n] * (self.personal_best - self.position)
         pull += ATTRACTION * draw[:, n:] * (leader - self.position)
         self.velocity = np.clip(CONSTRICTION * (self.velocity + pull), -0.5, 0.5)
         moved = self.position + self.velocity
@@ -116,12 +116,12 @@ class Swarm:
     @property
     def best(self) -> dict[str, float]:
         """Parameter set with the lowest cost so far: name -> value."""
-        return self._values(self.own_position[np.argmin(self.own_cost)])
+        return self._values(self.personal_best[np.argmin(self.personal_cost)])
 
     @property
     def cost(self) -> float:
         """Lowest cost so far; inf before the first `tell`."""
-        return float(self.own_cost.min())
+        return float(self.personal_cost.min())
 
     @property
     def history(self) -> pd.DataFrame:
@@ -168,7 +168,7 @@ def minimise(
     swarm = Swarm(dimensions, particles, seed, start)
     with tqdm(total=iterations, desc=title, unit="iteration", disable=not title, delay=0.1) as bar:
         while swarm.iteration < iterations and not swarm.stagnant(patience):
-            swarm.tell(evaluate(swarm.ask(), swarm.own_cost.tolist()))
+            swarm.tell(evaluate(swarm.ask(), swarm.personal_cost.tolist()))
             bar.set_postfix_str(f"best cost {swarm.cost:.4f}")
             bar.update()
     if not math.isfinite(swarm.cost):

@@ -56,8 +56,8 @@ def test_first_move_is_that_of_the_whole_optimisation(latency):
     torques = {-k - 1: before[k] for k in range(design.sent)}
     for k in range(horizon):
         free = design.a @ free + design.e @ at((k + 0.5) * 1e-3, range(len(KNOWN)))
-        free = free + design.b * torques.get(min(k - design.late, -1), before[-1])
-        forced = design.a @ forced + np.outer(design.b, np.arange(horizon) <= k - design.late)
+        free = free + design.b * torques.get(min(k - design.delay, -1), before[-1])
+        forced = design.a @ forced + np.outer(design.b, np.arange(horizon) <= k - design.delay)
         errors.append(weighted @ free - [at((k + 1) * 1e-3, [len(KNOWN)])[0], 0.0])
         by_move.append(weighted @ forced)
     system = np.vstack([*by_move, np.sqrt(settings.change) * np.eye(horizon)])
@@ -70,7 +70,7 @@ def test_noise_is_that_of_the_sensors():
     design = Design(V, 60.0, LqgPreview(settle=2.0), LOOP)
     assert design.noise == pytest.approx([2e-4 / 2**0.5, 2e-4 * 2**0.5 / 1.2, LOOP.gyro.noise])
     assert design.drift == pytest.approx([2e-4 * 2**0.5 / 1.2 / 3**0.5, LOOP.gyro.bias / 3**0.5])
-    assert design.late == design.sent == 6  # measurement 3 ms, command 2 ms, 1 ms from cycle to cycle
+    assert design.delay == design.sent == 6  # measurement 3 ms, command 2 ms, 1 ms from cycle to cycle
 
 
 @pytest.mark.parametrize(
