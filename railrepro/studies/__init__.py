@@ -1,1 +1,1 @@
-"""Studies: many runs side by side, executed in parallel, stored, compared and drawn."""
+"""Studies: many runs, executed in parallel, stored, compared and drawn (paper: Multi-Body Simulation Results)."""

@@ -90,8 +90,9 @@ class Comparison:
                 axis.tick_params(labelbottom=False)
             self.draw(upper, names, self.series[self.series[columns] == value] if columns else self.series)
             column[0].set_title(str(value), fontsize=7, linespacing=1.0)
-            for line in [line for axis in upper if len(shown) > 1 for line in axis.lines]:
-                line.set_linewidth(0.7 * line.get_linewidth())
+            for axis in upper if len(shown) > 1 else ():
+                for line in axis.lines:
+                    line.set_linewidth(0.7 * line.get_linewidth())
         plot.name_axes(figure, axes, chosen)
         return figure
 

@@ -90,7 +90,7 @@ class Experiment:
         return registry.parameters(self.controller, self.setting) if self.parameters is None else self.parameters
 
     def run(self) -> simulate.Run:
-        """Simulate the whole run, without the store: series of both gears and why the run ended."""
+        """Simulate and return the run: series of both gears and why it ended. The store is not used."""
         around = self._surroundings()
         return simulate.run(
             self.scenario,
@@ -114,7 +114,7 @@ class Experiment:
         return _shared(packed, tuple((str(file), code.signature(file)) for file in files))
 
     def key(self, measure: Measure) -> str | None:
-        """Key in `store` of the result of `measure` (see `measured`) for this run: a hash.
+        """Hash under which `store` has the result of `measure` for this run, see `measured`.
 
         It depends on the code and on all values of vehicle, tuning parameters, track and sensors, not on names and
         labels. None for a controller from a user's file, whose results are not stored.
@@ -246,7 +246,7 @@ Measure = Callable[[simulate.Run, Experiment], store.Entry]
 
 
 def _values(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Measure of `Experiment.__call__`."""
+    """Metrics of a run, and its series where the stride asks for one; for `Experiment.__call__`."""
     stride = experiment.stride
     return experiment.values(run), metrics.gear_series(run.series, stride=stride) if stride else None
 

@@ -16,7 +16,7 @@ from railrepro.tuning.task import Task
 
 
 def driven(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Compute the metrics that `run_cost` needs from a run; a measure for `Experiment.measured`.
+    """Compute the metrics of a run that `run_cost` needs; a function for `Experiment.measured`.
 
     Returns a pair (dict, None). Means over both running gears: rmse_y (m), effort_du (RMS of du, N m), activity_du (RMS
     of du above 5 Hz, N m; NaN in a failed run). failed: whether the run failed or a wheel touched its flange; done:

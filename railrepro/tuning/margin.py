@@ -45,7 +45,7 @@ class _Probed:
 
 
 class _ProbedFactory(_Probed):
-    """The same for a guidance that is also a factory of slower controllers."""
+    """The same for a guidance that is a factory of slower controllers, whose held torque is disturbed."""
 
     def __call__(self, *of_gear) -> lateral.SlowController:
         return self._factory(*of_gear)
@@ -98,7 +98,7 @@ def sensitivity(
     torques = np.fft.rfft(response)
     disturbance = np.fft.rfft(multisine((first + np.arange(count)) * CONTROL_PERIOD))
     lines = np.round(np.array(FREQUENCIES) * WINDOW).astype(int)
-    linear = np.sum(np.abs(torques[lines]) ** 2) / np.sum(np.abs(torques) ** 2)  # power at the disturbed frequencies
+    linear = np.sum(np.abs(torques[lines]) ** 2) / np.sum(np.abs(torques) ** 2)  # part of the power
     stable = linear > 0.5 and late < 2 * early
     return torques[lines] / disturbance[lines] if stable else None
 
@@ -136,7 +136,7 @@ def smallest(
     sensed: bool = False,
     vehicle: Vehicle | None = None,
 ) -> float:
-    """Smallest disk margin (-) over speeds, or the first one below `least`; inf without speeds. See `peaks`."""
+    """Smallest disk margin (-) over speeds, or the first below `least`; inf without speeds. Arguments as in `peaks`."""
     margin = float("inf")
     for speed in speeds_kmh:
         margin = min(margin, peaks(controller, parameters, speed, sensed, vehicle)["disk_margin"])

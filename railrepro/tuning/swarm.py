@@ -59,7 +59,7 @@ class Swarm:
     """State of a particle swarm: `ask` gives a parameter set per particle, `tell` takes their costs and moves them.
 
     `start` (name -> value) is the parameter set of the first particle; all others begin at random, by `seed`.
-    InputError when `start` lacks a parameter or is beyond the bounds.
+    InputError unless it has all parameters, within their bounds.
     """
 
     def __init__(self, dimensions: list[Dimension], particles: int, seed: int, start: dict[str, float] | None = None):

@@ -66,10 +66,10 @@ def margins(controller: str, task: Task, parameters: dict) -> list[dict]:
 def fastest_pole(
     controller: str, task: Task, parameters: dict, bounds: tuple[int, int] = (1, 200), vehicle: Vehicle | None = None
 ) -> float:
-    """Find the largest whole triple pole (rad/s) with which an inversion keeps the margin of a task: the rule of poles.
+    """Find the largest whole triple pole (rad/s) with which NDI keeps the margin of a task: the rule of poles.
 
-    `parameters` are its other tuning parameters. The margin falls with the pole, so the search bisects between the
-    `bounds`. InputError if the lower one misses the margin.
+    `controller` is one of `INVERSIONS`, `parameters` are its other tuning parameters. The margin falls with the pole,
+    so the search bisects between the `bounds`. InputError if the lower one misses the margin.
     """
     least, speeds = task.margin["least"], task.margin["speeds_kmh"]
 
@@ -84,7 +84,7 @@ def fastest_pole(
 
 
 def by_rule(controller: str, task: Task) -> dict:
-    """Tune an inversion by the rule of poles (`fastest_pole`); its other parameters are those of `Task.rule`.
+    """Tune NDI by the rule of poles (`fastest_pole`); its other parameters are those of `Task.rule`.
 
     Returns a dict with the keys controller, setting, parameters, margins (see `margins`), origin (dict of version).
     """
