@@ -75,7 +75,7 @@ def digest(*parts) -> str:
 
 @lru_cache(maxsize=1)
 def machine() -> dict[str, str]:
-    """All that decides the last digits of results, name -> value: environment, compiler, Python, processor, packages."""
+    """All that decides the last digits of results, by name: environment, compiler, Python, processor, packages."""
     return {
         **{f"environment {name}": os.environ.get(name, "") for name in _NUMERICS},
         "the compiler": cache.identity(cache.compiler(), cache.flags()),
