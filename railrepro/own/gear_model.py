@@ -1,7 +1,7 @@
-r"""Linear lateral model of one running gear whose wheels creep.
+r"""Linear lateral model of one running gear with creep, which the paper's eq. (7) leaves out.
 
-The control model of the paper rolls without sliding; in this model wheels need creepage to carry a force. Small angles,
-constant speed v, a car body that stays on the track::
+In the paper's control model wheels roll without sliding; here they need creepage to carry a force. For small angles, a
+constant speed v and a car body that stays on the track::
 
     y' = vy - r_0 phi_Tr',   psi' = r,   m vy' = F_y + F_s + F_N + m g (phi - phi_Tr) + (m + m_CB/2) a_y + F_d
     J_z r' = b F_x - k_sz (psi + psi_Tr - psi_CB) - k_dz (r + v kappa - v kappa_CB) + 2 J_Wy v/r_0 (phi_Tr' - Gamma y')
@@ -10,8 +10,7 @@ constant speed v, a car body that stays on the track::
 
 with a_y = g phi_Tr - v^2 kappa, E = r_0 (w_le - w_ri)/2 - kappa v b/2, force F_s of the suspension, lateral creep force
 F_y and moment M_s of both contacts, force F_N normal to the rails, and half the difference F_x of the longitudinal
-creep forces. Forces of the contact count y from the rails. The slopes of a profile are secants. Serves the lateral
-dynamics that the paper's eq. (7) leaves out.
+creep forces. In contact forces y counts from the rails. Slopes of the wheel profile are secants.
 """
 
 from __future__ import annotations
@@ -23,22 +22,22 @@ from railrepro.vehicle.parameters import Vehicle
 
 STATES = ("y", "vy", "psi", "r", "E", "tau")
 """Lateral displacement (m), absolute lateral velocity (m/s), yaw angle (rad) and yaw rate (rad/s) against the track,
-half the difference E of the circumferential speeds less its share by curvature (m/s), differential torque (N m)."""
+half the difference E of the circumferential speeds minus its part by curvature (m/s), differential torque (N m)."""
 KNOWN = ("side", "turning", "rolling", "heading", "slewing", "rail_offset", "rail_rate")
-"""Known inputs by the track at speed v: lateral acceleration g phi_Tr - v^2 kappa (m/s2), yaw acceleration of the track
-frame v^2 kappa' (rad/s2), roll rate v phi_Tr' (rad/s), heading psi_Tr - psi_CB of the track against the car body (rad)
-and its rate v (kappa - kappa_CB) (rad/s); lateral offset of the rails from the track (m) and its rate (m/s)."""
+"""Known inputs from the track: lateral acceleration g phi_Tr - v^2 kappa (m/s2), yaw acceleration v^2 kappa' of the
+track frame (rad/s2), roll rate v phi_Tr' (rad/s), heading psi_Tr - psi_CB of the track against the car body (rad) and
+its rate v (kappa - kappa_CB) (rad/s); lateral offset of the rails from the track (m) and its rate (m/s)."""
 UNKNOWN = ("force", "moment")
 """Unknown inputs: lateral force (N) and yaw moment (N m) on the gear."""
 UNITS = (1e-3, 1e-2, 1e-3, 1e-2, 1e-2, 100.0)
 """Usual magnitudes of `STATES` (SI), by which Riccati equations are scaled."""
 _REACH = 1e-3
-"""Displacement over which a profile counts as linear: secants from here to the other side (m)."""
+"""Displacement to either side at which the secants of a wheel profile end (m)."""
 
 
 def _profile(vehicle: Vehicle) -> tuple[dict[str, float], float, float, float]:
-    """Contact of a wheel in the middle by column; slope of the contact angle s = dr/dy (-), its change over the shift
-    (1/m), and the conicity lambda (-)."""
+    """Columns of the contact table at the centre, name -> value; slope dr/dy of the effective radius (-), change of the
+    slope with the shift (1/m), conicity lambda (-)."""
     frame = contact_table(vehicle.contact.profile, vehicle).frame
     middle, low, high = ({n: np.interp(at, frame["shift_m"], frame[n]) for n in frame} for at in (0, -_REACH, _REACH))
     slope, conicity = ((high[n] - low[n]) / (2 * _REACH) for n in ("effective_radius_m", "rolling_radius_m"))
@@ -46,8 +45,8 @@ def _profile(vehicle: Vehicle) -> tuple[dict[str, float], float, float, float]:
 
 
 def _creep(vehicle: Vehicle, middle: dict[str, float], steepening: float) -> tuple[float, np.ndarray]:
-    """k_11 (N); force (N) and moment (N m) of both wheels per displacement, lateral creepage and r/v, shape (2, 3):
-    Kalker's linear forces on dry rail, reduced as Polach's law is at small creepage."""
+    """Kalker's linear creep coefficients on dry rail, reduced as in Polach's law at small creepage: k_11 (N), and force
+    (N) and moment (N m) of both wheels per displacement, lateral creepage and r/v, shape (2, 3)."""
     contact, dry = vehicle.contact, vehicle.adhesion["dry"]
     root = np.sqrt(middle["semi_axis_x_m"] * middle["semi_axis_y_m"])
     reduced = (dry.k_a + min(dry.k_s, dry.k_a)) / 2 * contact.shear_modulus
@@ -58,10 +57,10 @@ def _creep(vehicle: Vehicle, middle: dict[str, float], steepening: float) -> tup
 
 
 def lateral_model(vehicle: Vehicle, speed: float) -> tuple[np.ndarray, ...]:
-    """Lateral model of a running gear at a speed (m/s): x' = a x + b du + e known + d unknown (SI).
+    """Build the lateral model of a running gear at a speed (m/s): x' = a x + b du + e known + d unknown (SI).
 
-    x, known and unknown are in the order of `STATES`, `KNOWN` and `UNKNOWN`; du is the differential torque. Returns a
-    (6, 6), b (6,), e (6, 7) and d (6, 2).
+    Returns a (6, 6), b (6,), e (6, 7), d (6, 2), in the order of `STATES`, `KNOWN` and `UNKNOWN`. du is the
+    differential torque.
     """
     names = (*STATES, "du", *KNOWN, *UNKNOWN)
     z = dict(zip(names, np.eye(len(names)), strict=True))  # each quantity is a row of factors of all of these

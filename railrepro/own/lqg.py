@@ -1,21 +1,20 @@
-r"""LQG with preview, a controller of this project without counterpart in the paper: its design; its sample is `lqg.c`.
+r"""LQG with preview, a controller of this project without counterpart in the paper. `lqg.c` is its control cycle.
 
-The model is that of `railrepro.own.gear_model`. Side force and yaw moment that it does not know are random walks. The
-rails lie beside the track as white noise through the spectrum of ERRI B176 over the distance,
+The model is `gear_model` with random walks of the unknown side force and yaw moment. The lateral offset of the rails is
+white noise through the spectrum of ERRI B176 over the distance,
 
     S(Omega) = A Omega_c^2 / ((Omega^2 + Omega_r^2) (Omega^2 + Omega_c^2)).
 
-Readings have the noise of the sensors; the read yaw angle and yaw rate have biases that drift. There are two Kalman
-filters, for ideal and for rough rails; their states are weighed by the likelihood of their innovations. With
-the displacement y_k from the set point over the rails, the yaw rate r_k against the track and the torque du_k, the
-regulator minimises
+Readings have the noise of the sensors, and the measured yaw angle and yaw rate have biases that drift. The states of
+two Kalman filters, one for ideal and one for rough rails, are weighted by the likelihood of their innovations. The
+regulator minimises, over an infinite horizon at the speed v,
 
     sum_k  y_k^2 + w^2 v / (100 m/s) r_k^2 + rho (du_k - du_(k-1))^2
 
-over an infinite horizon at the speed v; the track ahead is known over a preview and constant behind it. A yaw rate is
-needed for no steady state, so its weight w damps without an offset. The rear gear knows the rails that the front gear
-found, by a smoother of fixed lag. Source: Anderson and Moore 1990, Optimal Control, ch. 2, 4 and 8;
-Anderson and Moore 1979, Optimal Filtering, ch. 7 (smoothing) and 10 (several models).
+with the displacement y_k from the set point over the rails, the yaw rate r_k against the track and the torque du_k. The
+track ahead is known over a preview and constant beyond it. The weight w damps without an offset, because no steady
+state has a yaw rate. The rear gear gets the rails from a fixed-lag smoother of the front gear. Source: Anderson and
+Moore 1990, Optimal Control, ch. 2, 4 and 8; 1979, Optimal Filtering, ch. 7 (smoothing) and 10 (several models).
 """
 
 from __future__ import annotations
@@ -43,46 +42,39 @@ from railrepro.vehicle.parameters import Vehicle
 
 SPEEDS = 1.5 * np.exp(0.1 * np.arange(46))
 """Speeds for which filters and regulators are designed (m/s), shape (46,); below the first the torque is held."""
-LEAST_NOISE = 1e-6, 1e-6, 1e-5
-"""Least standard deviation of noise in y (m), psi (rad) and r (rad/s) that the filters assume."""
 TAP, LAG, LAGS, PITCH = 0.02, 4e-3, 20, 0.25
 """Time between points of the preview, time between lags of the smoother (s), their number, pitch of the rails (m)."""
 _SHORT, _LONG = 0.8246, 0.0206
 """Omega_c and Omega_r of the spectrum (rad/m)."""
 _SMOOTH = 1e-12
-"""Amplitude A of ideal rails (m rad), which keeps equations regular."""
+"""Amplitude A of ideal rails (m rad); above 0, so that equations are regular."""
 _LEAK = 1 / 30
-"""Rate at which walks return to zero (1/s): slower than any run, but they are stable."""
+"""Rate at which random walks return to zero (1/s): slower than any run, but stable."""
 _N, _RAIL, _RATE, _MODEL, _FREE = len(STATES), *(len(STATES) + k for k in (2, 3, 4, 6))
-"""Number of states of the gear; with unknown force and moment, rails and their rate; with both biases."""
+"""Number of states of the gear; indices of rail offset and its rate; numbers of states without and with biases."""
 
 
 class Design:
-    """Kalman filters and regulator of a gear at one speed, in steps of 1 ms.
-
-    Args:
-        vehicle (Vehicle): Vehicle parameters that the controller assumes.
-        speed (float): Speed (m/s).
-        settings (LqgPreview): Weights and noise.
-        loop (Loop or None): Sensors. None: no sensors, and both filters assume ideal rails.
+    """Kalman filters and regulator of a gear at one `speed` (m/s), in steps of 1 ms, for the `vehicle` that the
+    controller assumes. Without sensors (`loop` None) both filters assume ideal rails.
 
     Attributes:
-        a, b, e (ndarray, shapes (10, 10), (10,), (10, 7)): Model over 1 ms, x+ = a x + b du + e known. x are
-            `gear_model.STATES`, unknown force and moment, offset of the rails (m) and its rate (m/s).
-        late (int): Time from a reading to the torque (ms); 0 without sensors.
-        sent (int): Number of torques that are under way or acting, at least 1.
-        rails (tuple of float): Amplitude A of the rail spectrum (see `railrepro.own.lqg`) in both filters (m rad).
-        read (ndarray, shape (3, 12)): Maps x and the biases of psi and r to the readings y (m), psi (rad), r (rad/s).
+        a, b, e (ndarray, shapes (10, 10), (10,), (10, 7)): Model over 1 ms, x+ = a x + b du + e known. x has
+            `gear_model.STATES`, unknown force and moment, lateral offset of the rails (m) and its rate (m/s).
+        delay (int): Time from a reading to the torque (ms); 0 without sensors.
+        sent (int): Number of torques that are delayed or act, at least 1.
+        rails (tuple of float): Amplitude A of the rail spectrum in both filters (m rad).
+        read (ndarray, shape (3, 12)): Maps x and the biases of psi and r to the readings of y, psi and r.
         noise, drift (ndarray, shapes (3,), (2,)): Standard deviations of the readings; random walk of the two biases
             (rad/s^0.5, rad/s^1.5).
     """
 
     def __init__(self, vehicle: Vehicle, speed: float, settings: LqgPreview, loop: Loop | None):
         self.speed, self.settings, h = speed, settings, CONTROL_PERIOD
-        self.late = 0 if loop is None else 1 + round((loop.latency.measurement + loop.latency.command) / h)
-        self.sent = max(self.late, 1)
+        self.delay = 0 if loop is None else 1 + round((loop.latency.measurement + loop.latency.command) / h)
+        self.sent = max(self.delay, 1)
         self.rails = _SMOOTH, _SMOOTH if loop is None else settings.rails
-        self.noise, self.drift = np.array(LEAST_NOISE), np.full(2, 1e-9)
+        self.noise, self.drift = np.array([1e-6, 1e-6, 1e-5]), np.full(2, 1e-9)  # least ones, for regular equations
         if loop is not None:  # a bias drifts with the variance with which it is drawn
             noise, biases = loop.lateral_errors()
             self.noise = np.maximum(self.noise, noise)
@@ -106,13 +98,11 @@ class Design:
         self._units = np.array([*UNITS, settings.force, settings.moment, 1e-3, 1e-3 * speed])
 
     def kalman(self, rough: float) -> tuple[np.ndarray, ...]:
-        """Stationary Kalman filter for rails of amplitude A = `rough` (m rad).
+        """Design the stationary Kalman filter for rails of amplitude A = `rough` (m rad).
 
-        Returns:
-            gain (ndarray, shape (12, 3)): From the innovation of y, psi, r to x and the two biases.
-            covariance (ndarray, shape (3, 3)): Covariance of the innovation.
-            smoother (ndarray, shape (LAGS, 2, 3)): Row k: from the innovation to rail offset (m) and direction (rad), k
-                times `LAG` (s) ago.
+        Returns the gain (12, 3) from the innovation of y, psi, r to x and the two biases; the covariance (3, 3) of the
+        innovation; and the smoother (LAGS, 2, 3), whose row k is the gain to the rail offset (m) and direction (rad) k
+        times `LAG` ago.
         """
         s, h, read, drive = self.settings, CONTROL_PERIOD, self.read, np.zeros((_MODEL, 4))
         drive[_N, 0], drive[_N + 1, 1], drive[STATES.index("tau"), 2] = s.force, s.moment, s.twist
@@ -133,19 +123,17 @@ class Design:
         return gain, covariance, smoother
 
     def regulator(self) -> tuple[np.ndarray, np.ndarray]:
-        """Gains of the regulator, whose output is the change of the torque from one ms to the next (N m).
+        """Design the regulator, whose output is the change of the torque from one ms to the next (N m).
 
-        Returns:
-            feedback (ndarray, shape (10 + sent,)): Factors of x, then of the torques sent, latest first.
-            preview (ndarray, shape (points, 8)): Factors of the 7 known inputs and of the set point, at points `TAP`
-                (s) apart.
+        Returns its gains: (10 + sent,) for x and then the torques sent, latest first; (points, 8) for the 7 known
+        inputs and the set point, at points of the preview `TAP` apart.
         """
         n, h = _MODEL + self.sent, CONTROL_PERIOD
         a, b, error = np.zeros((n, n)), np.zeros(n), np.zeros(n)
         a[:_MODEL, :_MODEL], a[_MODEL, _MODEL], b[_MODEL] = self.a, 1.0, 1.0
         a[_MODEL + 1 :, _MODEL:-1] = np.eye(self.sent - 1)
-        a[:_MODEL, _MODEL + max(self.late - 1, 0)] = self.b
-        if self.late == 0:  # the torque that is chosen now acts at once: the last one and its change
+        a[:_MODEL, _MODEL + max(self.delay - 1, 0)] = self.b
+        if self.delay == 0:  # the torque that is chosen now acts at once: the last one and its change
             b[:_MODEL] = self.b
         error[STATES.index("y")], error[_RAIL] = 1.0, -1.0
         units = np.append(self._units, np.full(self.sent, 100.0))
@@ -165,7 +153,7 @@ class Design:
         return -feedback, np.hstack([_on_taps(times + h / 2, known, taps), _on_taps(times + h, point, taps)])
 
     def table(self) -> np.ndarray:
-        """All numbers of the design as a vector, in the order of the struct `lqg_design_t` of lqg.c."""
+        """All numbers of the design as a vector, in the order of the struct `lqg_design_t` in lqg.c."""
         parts = [self.a, self.b, self.e, *self.regulator()]
         for rough in self.rails:
             gain, covariance, smoother = self.kalman(rough)
@@ -174,17 +162,16 @@ class Design:
 
 
 def _on_taps(times: np.ndarray, factors: np.ndarray, taps: int) -> np.ndarray:
-    """Factors at times (s) shared by the points of the preview before and after, so that in between it is linear."""
-    places = np.minimum(times / TAP, taps - 1)
-    return np.maximum(1 - np.abs(np.arange(taps)[:, None] - places), 0) @ factors
+    """Distribute factors at times (s) to the points of the preview before and after, for linear interpolation."""
+    positions = np.minimum(times / TAP, taps - 1)
+    return np.maximum(1 - np.abs(np.arange(taps)[:, None] - positions), 0) @ factors
 
 
 def riccati(a: np.ndarray, b: np.ndarray, q: np.ndarray, units: np.ndarray) -> np.ndarray:
     """Stabilising solution p (n, n) of the discrete algebraic Riccati equation, by doubling.
 
-    The system is x+ = a x + b u with a (n, n), b (n, m). The cost is x' q x + u' u with q (n, n). `units` (n,) are
-    usual magnitudes of the states, which scale the equation. Source: Chu, Fan, Lin and Wang 2004, Int. J. Control 77,
-    algorithm SDA.
+    The system is x+ = a x + b u with a (n, n), b (n, m), the cost x' q x + u' u. `units` (n,), usual magnitudes of the
+    states, scale the equation. Source: Chu, Fan, Lin and Wang 2004, Int. J. Control 77, algorithm SDA.
     """
     a, b, p = a * units / units[:, None], b / units[:, None], q * np.outer(units, units)
     g, one = b @ b.T, np.eye(len(a))
@@ -199,20 +186,19 @@ def riccati(a: np.ndarray, b: np.ndarray, q: np.ndarray, units: np.ndarray) -> n
 
 @lru_cache(maxsize=1)
 def designs(vehicle: Vehicle, settings: LqgPreview, loop: Loop | None) -> tuple[int, np.ndarray]:
-    """Designs at all `SPEEDS`; `loop` None: without sensors. Returns `Design.late`, and an array (46, n) with
-    `Design.table` at each speed."""
-    found = [Design(vehicle, speed, settings, loop) for speed in SPEEDS]
-    return found[0].late, np.array([design.table() for design in found])
+    """Make the designs at all `SPEEDS`; returns `Design.delay`, and an array (46, n) with `Design.table` of each."""
+    made = [Design(vehicle, speed, settings, loop) for speed in SPEEDS]
+    return made[0].delay, np.array([design.table() for design in made])
 
 
 _SOURCE = Path(__file__).with_suffix(".c").read_text(encoding="utf-8")
 
 
-def _source(late: int, taps: int) -> tuple[str, dict[str, int]]:
-    """C source of a sample, which starts after call.h, and sizes of its arrays; arguments as of `library`."""
+def _source(delay: int, taps: int) -> tuple[str, dict[str, int]]:
+    """C source of a control cycle, to stand below call.h, and sizes of its arrays; arguments as of `library`."""
     sizes = {"MODEL": _MODEL, "FREE": _FREE, "RAIL": _RAIL, "BIAS": _MODEL, "KNOWN": len(KNOWN), "WIDTH": len(COLUMNS)}
     sizes |= {"SIGNALS": 3, "FILTERS": 2, "LAGS": LAGS, "TAPS": taps}
-    sizes |= {"LATE": late, "SENT": max(late, 1), "TORQUES": max(late, 1) + 1}
+    sizes |= {"LATE": delay, "SENT": max(delay, 1), "TORQUES": max(delay, 1) + 1}
     columns = {f"AT_{name}": i for name, i in INDEX.items()} | {f"K_{name.upper()}": i for i, name in enumerate(KNOWN)}
     speeds = {"LEAST_SPEED": SPEEDS[0], "LOG_STEP": np.log(SPEEDS[1] / SPEEDS[0]), "PERIOD": CONTROL_PERIOD}
     defined = sizes | columns | speeds | {"TAP": TAP, "LAG": LAG, "PITCH": PITCH, "CELL": CELL}
@@ -220,18 +206,17 @@ def _source(late: int, taps: int) -> tuple[str, dict[str, int]]:
 
 
 @lru_cache
-def library(late: int, taps: int) -> tuple[ctypes.CDLL, Any]:
-    """Compile lqg.c; returns the shared object and the ctypes class of its struct `lqg_t`. `late` is `Design.late`,
-    `taps` the number of points of the preview."""
-    text, sizes = _source(late, taps)
+def library(delay: int, taps: int) -> tuple[ctypes.CDLL, Any]:
+    """Compile lqg.c for `Design.delay` and a number of points of the preview; returns the shared object and the ctypes
+    class of its struct `lqg_t`."""
+    text, sizes = _source(delay, taps)
     loaded = codegen.library((), codegen.PREAMBLE + text)
     loaded.lqg_sample.restype = ctypes.c_double
     return loaded, codegen.structure("lqg_t", _SOURCE, sizes)
 
 
 class LqgGear:
-    """LQG controller with preview of one gear (0 front, 1 rear) in compiled C: a
-    `railrepro.control.lateral.SlowController`."""
+    """LQG controller with preview of one gear (0 front, 1 rear) in compiled C, a `lateral.SlowController`."""
 
     period = CONTROL_PERIOD
 
@@ -240,12 +225,11 @@ class LqgGear:
         self.vehicle, self.route, self.gear, self.settings = vehicle, route, gear, settings
 
     def compiled(self, loop: Loop | None, leader: object = None) -> tuple[int, int]:
-        """Addresses (C function of a sample, its memory), see `lateral.SlowController`. `loop` are the sensors, None
-        without. `leader` is given for the rear gear: the front controller. An `LqgGear` passes on the rails that it
-        finds."""
-        (late, table), vehicle, cells = designs(self.vehicle, self.settings, loop), self.vehicle, self.route.cells
+        """Make the controller; returns the addresses of its C function and memory, see `lateral.SlowController`. The
+        rear gear gets the rails that its `leader`, the front gear, estimates if it is an `LqgGear`, too."""
+        (delay, table), vehicle, cells = designs(self.vehicle, self.settings, loop), self.vehicle, self.route.cells
         acceleration, partner, _ = nominal_values(vehicle, self.gear)
-        self.sizes = late, round(self.settings.preview / TAP) + 1
+        self.sizes = delay, round(self.settings.preview / TAP) + 1
         self.library, of_gear = library(*self.sizes)
         rows = round(len(cells) * CELL / PITCH)
         self.tables = {"designs": table, "route": cells, "rails": np.zeros((rows, 2))}
@@ -253,7 +237,7 @@ class LqgGear:
             speeds=len(table),
             cells=len(cells),
             rows=rows,
-            behind=max(late - 1, 0) * CONTROL_PERIOD,
+            behind=max(delay - 1, 0) * CONTROL_PERIOD,
             torque_limit=vehicle.drive.torque_limit,
             acceleration=acceleration,
             gravity=vehicle.gravity,
@@ -269,8 +253,7 @@ class LqgGear:
         return ctypes.cast(self.library.lqg_sample, ctypes.c_void_p).value or 0, ctypes.addressof(self.memory)
 
     def exported(self, gears: Sequence[LqgGear], loop: Loop | None) -> str:
-        """C text of `gears`, the controllers [front, rear], and of the tables of their designs, for an export. It does
-        not matter which instance is asked. `loop`: the sensors, or None for a control without."""
+        """C source, for an export, of the controllers [front, rear] with the tables of their designs."""
         for gear in gears:
             gear.compiled(loop)
         memories = ", ".join(codegen.initialiser(gear.memory) for gear in gears)
@@ -282,18 +265,17 @@ class LqgGear:
 
 @dataclass(frozen=True)
 class LqgPreview:
-    """Guidance for `simulate.run`: the LQG controller with preview, as a factory. Notebook `12_lqg` derives
-    settings."""
+    """Factory of LQG controllers with preview, a guidance for `simulate.run`; notebook `12_lqg` derives settings."""
 
     change: Annotated[float, between(1e-13, 1e-3, "m2/(N m)2")] = 8e-10
     """Weight rho of the squared change of torque per millisecond, relative to that of y (m2/(N m)2)."""
     turn: Annotated[float, between(0.0, 10.0, "m s/rad")] = 0.082
-    """Weight w of the yaw rate relative to that of y (m s/rad), at 100 m/s: it raises stability margins. It grows with
-    the square root of the speed, which makes them about equal at all speeds."""
+    """Weight w of the yaw rate relative to that of y (m s/rad), at 100 m/s. It raises stability margins, and makes them
+    about equal at all speeds by growing with the square root of the speed."""
     force: Annotated[float, between(1.0, 1e8, "N")] = 1e5
-    """Standard deviation of the random walk of the unknown side force after one second (N)."""
+    """Standard deviation after one second of the random walk of the unknown side force (N)."""
     moment: Annotated[float, between(1.0, 1e8, "N m")] = 2e4
-    """Standard deviation of the random walk of the unknown yaw moment after one second (N m)."""
+    """The same of the unknown yaw moment (N m)."""
     twist: Annotated[float, between(0.0, 1e7, "N m/s^0.5")] = 2e5
     """White noise that the filters assume in the rate of the motor torque (N m/s^0.5); it raises stability margins."""
     rails: Annotated[float, between(1e-12, 1e-4, "m rad")] = 5e-8
@@ -301,7 +283,7 @@ class LqgPreview:
     settle: Annotated[float, between(0.01, 100.0, "s")] = 3.0
     """Time (s) in which the random walk that models a bias gains twice the variance with which the bias is drawn."""
     memory: Annotated[float, between(0.01, 100.0, "s")] = 0.5
-    """Time constant with which the log-likelihoods of the filters forget old readings (s)."""
+    """Time constant (s) with which the log-likelihoods of the filters forget old readings."""
     preview: Annotated[float, between(0.02, 5.0, "s")] = 0.6
     """Length of the preview of set point and track (s)."""
 

@@ -1,2 +1,1 @@
-"""Studies: many runs side by side, executed in parallel, stored, compared and drawn. Serves the paper's section
-Multi-Body Simulation Results."""
+"""Studies: many runs, executed in parallel, stored, compared and drawn (paper: Multi-Body Simulation Results)."""

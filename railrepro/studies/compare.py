@@ -1,7 +1,4 @@
-"""Runs of several controllers side by side: simulate, tabulate and draw them.
-
-Lists make a study: `compare("sine_tracking", PAPER_TRIO, speed_kmh=[80, 160])` simulates each controller at each speed.
-"""
+"""Runs of several controllers side by side: simulate, tabulate and draw them."""
 
 from __future__ import annotations
 
@@ -17,14 +14,19 @@ from railrepro import figures
 from railrepro.control.registry import CONTROLLERS, PAPER, with_r_times
 from railrepro.data import InputError
 from railrepro.simulation import metrics, plot
-from railrepro.simulation.scenarios import Scenario, load_scenario
+from railrepro.simulation.scenarios import Scenario
 from railrepro.studies.experiment import run_all
 from railrepro.studies.world import World, world
 
 QUANTITIES = {
-    **{"rmse_mm": ("rmse_y", 1e3), "rmse_rear_mm": ("rmse_y_rear", 1e3), "drift_mm": ("mean_error_last_third", 1e3)},
-    **{"largest_error_mm": ("largest_error", 1e3), "delay_m": ("delay", 1.0), "effort_Nm": ("effort_du", 1.0)},
-    **{"largest_slip_permille": ("largest_slip", 1e3), "stopping_distance_m": ("stopping_distance", 1.0)},
+    "rmse_mm": ("rmse_y", 1e3),
+    "rmse_rear_mm": ("rmse_y_rear", 1e3),
+    "drift_mm": ("mean_error_last_third", 1e3),
+    "largest_error_mm": ("largest_error", 1e3),
+    "delay_m": ("delay", 1.0),
+    "effort_Nm": ("effort_du", 1.0),
+    "largest_slip_permille": ("largest_slip", 1e3),
+    "stopping_distance_m": ("stopping_distance", 1.0),
 }
 """Quantity with its unit -> column of `Comparison.rows` (SI) and factor from SI to that unit."""
 _DASHES = ("-", "--", ":", "-.")
@@ -37,8 +39,8 @@ class Comparison:
 
     Attributes:
         rows (DataFrame): One row per run: its labels and its metrics in SI units, see `Experiment.values`.
-        series (DataFrame): Time series of the front running gear of all runs below each other
-            (`metrics.gear_series`), with the labels and the controller of each run as further columns.
+        series (DataFrame): Time series of the front running gear of all runs below each other (`metrics.gear_series`),
+            with the labels and the controller of each run as further columns.
         labels (tuple of str): Names of the columns by which the runs differ, as ("speed_kmh", "controller").
     """
 
@@ -47,7 +49,7 @@ class Comparison:
     labels: tuple[str, ...]
 
     def __getitem__(self, quantity: str) -> pd.Series:
-        """Series by run (index `labels`) of a key of `QUANTITIES`, in its unit, or of a column of `rows` (SI).
+        """Values by run (index `labels`) of a key of `QUANTITIES`, in its unit, or of a column of `rows` (SI).
         InputError for any other name."""
         column, factor = QUANTITIES.get(quantity, (quantity, 1.0))
         if column not in self.rows:
@@ -60,19 +62,19 @@ class Comparison:
         return pd.DataFrame({name: self[name] for name in quantities})
 
     def data(self, *panels: str) -> pd.DataFrame:
-        """What `plot` draws for `panels`, with labels and track coordinate, as a table of figures/: the columns of
-        `series` under the names of `metrics.FILE_COLUMNS`, which have the unit."""
+        """Table of what `plot` draws for `panels`, with labels and track coordinate; columns as in
+        `metrics.FILE_COLUMNS`, which have the unit in their names."""
         named = [name for name in ("car", "setting", "scenario", "controller", *self.labels) if name in self.series]
         drawn = [name for panel in plot.chosen(panels) for name in (panel.reference, *panel.columns) if name]
         columns = [metrics.column("front", name) for name in ("p", *drawn)]
         return self.series[list(dict.fromkeys([*named, *columns]))].rename(columns=metrics.FILE_COLUMNS)
 
     def plot(self, *panels: str, columns: str = "", height: float = 1.3, more: int = 0) -> Figure:
-        """Figure of panels below each other over the track coordinate (m); it is not saved.
+        """Draw panels below each other over the track coordinate (m); returns the figure, which is not saved.
 
         Args:
             panels (str): Keys of `simulation.plot.PANELS`, one per row; "y" and "error" if there are none.
-            columns (str): Name of a label, as "car", each value of which has a column of panels; "" is one column.
+            columns (str): Label, as "car", whose values have a column of panels each; "" for one column.
             height (float): Height of a row (in).
             more (int): Number of empty rows below, for other diagrams.
         """
@@ -88,23 +90,22 @@ class Comparison:
                 axis.tick_params(labelbottom=False)
             self.draw(upper, names, self.series[self.series[columns] == value] if columns else self.series)
             column[0].set_title(str(value), fontsize=7, linespacing=1.0)
-            for line in [line for axis in upper if len(shown) > 1 for line in axis.lines]:
-                line.set_linewidth(0.7 * line.get_linewidth())
+            for axis in upper if len(shown) > 1 else ():
+                for line in axis.lines:
+                    line.set_linewidth(0.7 * line.get_linewidth())
         plot.name_axes(figure, axes, chosen)
         return figure
 
     def draw(self, axes: Sequence[Axes], panels: Sequence[str], series: pd.DataFrame) -> None:
-        """Draw runs over the track coordinate (m) into existing `axes`, one for each of `panels` (names).
-
-        `series` has rows of `self.series`. The left wheel is paler than the right one.
-        """
+        """Draw rows of `self.series` over the track coordinate (m) into existing `axes`, one for each of `panels`
+        (names). The left wheel is paler than the right one."""
         chosen = plot.chosen(panels)
         labels = [name for name in self.labels if name == "controller" or series[name].nunique() > 1] or ["controller"]
         drawn: list[str] = []
         for values, run in series.groupby(labels, sort=False):
             name = run["controller"].iloc[0]
             look = figures.LOOKS[name].line
-            if labels != ["controller"]:  # other runs of the same controller differ by the style of their line
+            if labels != ["controller"]:  # runs of the same controller differ by the style of their line
                 dashes = _DASHES[drawn.count(name) % 4] if name in drawn else look["linestyle"]
                 look = look | {"label": ", ".join(map(str, values)), "linestyle": dashes}
             drawn.append(name)
@@ -113,10 +114,16 @@ class Comparison:
 
 
 def compare(
-    scenario: str | Scenario | list | Mapping[str, Scenario], controllers: Sequence[str] | Mapping[str, str | dict],
-    setting: str | list = PAPER, *, car: Mapping[str, World] | None = None, solver: str = "rti",
-    noise_seed: int = 101, stride: int = 20, **changes,
-) -> Comparison:  # fmt: skip
+    scenario: str | Scenario | list | Mapping[str, Scenario],
+    controllers: Sequence[str] | Mapping[str, str | dict],
+    setting: str | list = PAPER,
+    *,
+    car: Mapping[str, World] | None = None,
+    solver: str = "rti",
+    noise_seed: int = 101,
+    stride: int = 20,
+    **changes,
+) -> Comparison:
     """Simulate controllers in a scenario; an argument given as a list gives a run per value, in all combinations.
 
     Each argument that is given as a list or mapping is a label of the runs, also with one entry.
@@ -124,46 +131,43 @@ def compare(
     Args:
         scenario (str, Scenario, list or mapping): Name in data/scenarios.toml or a `Scenario`; a list of these, or a
             mapping of names to scenarios.
-        controllers (sequence or mapping): Keys of `CONTROLLERS`; or name in tables -> key, or -> dict with the key
-            controller, and as needed r_times (factor on R) and fields of `Experiment`.
-        setting (str or list): Setting of comparison whose tuned sets are taken; `loop` has sensors.
+        controllers (sequence or mapping): Keys of `CONTROLLERS`; or a mapping of names in tables to keys, or to dicts
+            with the entry controller (a key) and, if needed, r_times (factor on R) and fields of `Experiment`.
+        setting (str or list): Setting of comparison, from which tuned sets are taken; `loop` has sensors.
         car (mapping, optional): Name -> `World`, each with its own car, controllers and scenarios.
         solver (str): Solver of NMPC: rti, gauss_newton or ipopt.
         noise_seed (int): Random seed of the sensors in the setting `loop`.
-        stride (int): Every n-th control cycle (1 ms) is kept in the series.
+        stride (int): The series have every n-th control cycle (1 ms).
         changes: Fields of `Scenario`, each a value or a list of values; and fields of `Experiment` for all runs.
     """
+    last = "case" if isinstance(controllers, Mapping) else "controller"
     controllers = [controllers] if isinstance(controllers, str) else controllers
     cases = controllers if isinstance(controllers, Mapping) else {name: name for name in controllers}
-    cases = {name: case if isinstance(case, dict) else {"controller": case} for name, case in cases.items()}
-    listed = {name for name, value in {"setting": setting, **changes}.items() if isinstance(value, list)}
-    listed |= {"car"} if car else set()
-    listed |= {"scenario"} if isinstance(scenario, list | Mapping) else set()
-    if not isinstance(scenario, Mapping):
-        scenario = {getattr(one, "name", one): one for one in _values(scenario)}
+    named = scenario if isinstance(scenario, Mapping) else {getattr(one, "name", one): one for one in _values(scenario)}
     varied = {name: value for name, value in changes.items() if isinstance(value, list)}
-    grid = {"car": list(car or [""]), "setting": _values(setting), "scenario": list(scenario), **varied}
+    grid = {"car": list(car or [""]), "setting": _values(setting), "scenario": list(named), **varied}
+    listed = {"car": bool(car), "setting": isinstance(setting, list), "scenario": isinstance(scenario, list | Mapping)}
+    labels = [name for name in grid if listed.get(name, True)]
     experiments = []
     for *values, case in product(*grid.values(), cases):
-        of = dict(zip(grid, values, strict=True))
-        given = changes | {name: of[name] for name in varied}
-        more = {name: value for name, value in given.items() if name not in _OF_SCENARIO} | cases[case]
+        point = dict(zip(grid, values, strict=True))
+        given = changes | {name: point[name] for name in varied}
+        more = {name: value for name, value in given.items() if name not in _OF_SCENARIO}
+        more |= cases[case] if isinstance(cases[case], dict) else {"controller": cases[case]}
         name, factor = more.pop("controller"), more.pop("r_times", None)
-        at = car[of["car"]] if car else world([name], of["setting"], noise_seed)
+        at = car[point["car"]] if car else world([name], point["setting"], noise_seed)
         if factor is not None:
             more["parameters"] = with_r_times(at.parameters[name], factor(at) if callable(factor) else factor)
-        driven = scenario[of["scenario"]]
-        if not isinstance(driven, Scenario):
-            driven = at.scenario(driven) if car else load_scenario(driven)
+        driven = named[point["scenario"]]
+        driven = driven if isinstance(driven, Scenario) else at.scenario(driven)
         driven = driven.but(**{name: value for name, value in given.items() if name in _OF_SCENARIO})
-        label = {key: value for key, value in of.items() if key != "scenario" or key in listed} | {"case": case}
+        label = {key: value for key, value in point.items() if key != "scenario" or key in labels} | {"case": case}
         more = {"options": CONTROLLERS[name].quick and {"solver": solver}} | more
         experiments.append(at.experiment(driven, name, label=label, stride=stride, **more))
     rows, series = run_all(experiments, "runs")
     if series is None:
         raise InputError("compare: there is no run, because a list of what to simulate is empty or the stride is 0")
-    last = "case" if isinstance(controllers, Mapping) else "controller"
-    return Comparison(rows, series, (*(name for name in grid if name in listed), last))
+    return Comparison(rows, series, (*labels, last))
 
 
 def _values(given) -> list:

@@ -1,8 +1,8 @@
-"""Parallel studies: functions called in threads, whose simulations are computed by processes or a Dask cluster.
+"""Parallel studies: tasks that run in threads, and simulations that processes or a Dask cluster compute for them.
 
-Threads of `ordered_map` look results up in `store`; what they hand to `work` is computed by a process, and only
-meanwhile do other threads run: two threads must not use CasADi's objects at a time. Results do not depend on the number
-of processes or the cluster, because random seeds belong to the task.
+A thread of `ordered_map` reads results from `store`, and hands what is missing to a process with `work`. Other threads
+run only while it waits, because two threads must not use CasADi's objects at a time. Results do not depend on the
+number of processes or the cluster, because random seeds belong to the task.
 """
 
 from __future__ import annotations
@@ -13,14 +13,7 @@ import re
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import (
-    BrokenExecutor,
-    CancelledError,
-    Executor,
-    ProcessPoolExecutor,
-    ThreadPoolExecutor,
-    as_completed,
-)
+from concurrent import futures
 from contextlib import contextmanager
 from functools import lru_cache
 
@@ -38,14 +31,10 @@ _OTHER_CODE = (
     "a process of the study imported other code of railrepro than the one that sends the runs, because it was edited "
     "meanwhile or another machine has another version; restart (in Jupyter the kernel) and run again to resume"
 )
-
-_NO_ADDRESS = "RAILREPRO_DASK={!r}, the address of a Dask scheduler such as tcp://127.0.0.1:8786 is needed"
-_NO_DASK = "RAILREPRO_DASK is set, for which the package distributed is needed (pip install railrepro[cluster]): {}"
-
 _FEW = 4
-"""Number of tasks up to which this process computes them itself: processes of its own would start for longer."""
+"""Largest number of tasks for which no processes are started: that would take longer than the tasks."""
 _around = threading.local()
-"""In a thread of `ordered_map`: its `pool`."""
+"""Has the attribute `pool`, an executor, in the threads of `ordered_map`."""
 _turn = threading.Lock()
 """Held by the thread of `ordered_map` that runs: reference counts of CasADi's objects are not atomic."""
 
@@ -59,16 +48,16 @@ def workers() -> int:
 
 
 @contextmanager
-def executor() -> Iterator[Executor]:
-    """Context manager of the processes that compute simulations, as an `Executor`.
+def executor() -> Iterator[futures.Executor]:
+    """Context manager of the processes that compute simulations.
 
-    With the environment variable RAILREPRO_DASK, an address, the processes are those of this Dask scheduler. Else they
-    are local (`workers`); they stay for the next study, and an exception (also Ctrl-C) ends them. InputError if the
-    address is none, distributed is not installed, or the scheduler is silent.
+    They are those of the Dask scheduler at the address RAILREPRO_DASK (environment variable), or else local
+    (`workers`). Local ones stay for the next study; an exception (also Ctrl-C) ends them. InputError if no scheduler
+    answers at the address, or the package distributed is missing.
     """
     if address := os.environ.get("RAILREPRO_DASK"):
-        with _cluster(address) as pool:
-            yield pool
+        with _client(address) as client:
+            yield client.get_executor(pure=False, retries=0)
         return
     pool = _processes(workers())
     try:
@@ -79,58 +68,41 @@ def executor() -> Iterator[Executor]:
         raise
 
 
-@contextmanager
-def _cluster(address: str) -> Iterator[Executor]:
+def _client(address: str):
+    """Client of the Dask scheduler at an address."""
     if not re.fullmatch(r"(tcp|tls|ucx|wss?)://[^/\s]+:\d+", address):
-        raise InputError(_NO_ADDRESS.format(address))
+        needed = "the address of a Dask scheduler such as tcp://127.0.0.1:8786 is needed"
+        raise InputError(f"RAILREPRO_DASK={address!r}, {needed}")
     try:
         from distributed import Client
+
+        return Client(address, timeout=10, set_as_default=False)
     except ImportError as error:
-        raise InputError(_NO_DASK.format(error)) from error
-    try:
-        client = Client(address, timeout=10, set_as_default=False)
+        needed = "the package distributed is needed (pip install railrepro[cluster])"
+        raise InputError(f"RAILREPRO_DASK is set, for which {needed}: {error}") from error
     except (OSError, ValueError) as error:
         raise InputError(f"no Dask scheduler answers at RAILREPRO_DASK={address}: {error}") from error
-    with client:
-        yield client.get_executor(pure=False, retries=0)
 
 
-def _pool(workers: int) -> ProcessPoolExecutor:
+def _pool(workers: int) -> futures.ProcessPoolExecutor:
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         os._exit(1)  # a process of a study that reads a script without guard; `_ENDED` says what to do
     context = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(workers, mp_context=context, initializer=_follow_the_parent)
+    return futures.ProcessPoolExecutor(workers, mp_context=context, initializer=_follow_the_parent)
 
 
 _processes = lru_cache(_pool)
 
 
-def _kill(pool: ProcessPoolExecutor) -> None:
+def _kill(pool: futures.ProcessPoolExecutor) -> None:
     processes = list((pool._processes or {}).values())
     pool.shutdown(wait=False, cancel_futures=True)
     for process in processes:
         process.kill()
 
 
-@contextmanager
-def _pools(apart: bool) -> Iterator[list[Executor]]:
-    """Context manager of the executors of the threads of a study, one for each thread."""
-    if apart and not os.environ.get("RAILREPRO_DASK"):
-        own = [_pool(1) for _ in range(workers())]
-        try:
-            yield [*own]
-        finally:
-            for pool in own:
-                _kill(pool)
-        return
-    with executor() as shared:
-        cluster = getattr(shared, "_client", None)
-        processes = max(len(cluster.ncores()), 1) if cluster else getattr(shared, "_max_workers", 1)
-        yield 2 * processes * [shared]  # so that each process finds its next run waiting
-
-
 def _follow_the_parent() -> None:
-    """Leave interrupts to the parent process, and end with it, also when it was killed."""
+    """Ignore interrupts, which the parent process handles, and end with it, also when it is killed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     assert parent is not None, "this runs in a worker"
@@ -142,14 +114,30 @@ def _follow_the_parent() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
+@contextmanager
+def _pools(apart: bool) -> Iterator[list[futures.Executor]]:
+    """Context manager of the executors of the threads of a study, one for each thread."""
+    if apart and not os.environ.get("RAILREPRO_DASK"):
+        local = [_pool(1) for _ in range(workers())]
+        try:
+            yield [*local]
+        finally:
+            for pool in local:
+                _kill(pool)
+        return
+    with executor() as shared:
+        cluster = getattr(shared, "_client", None)
+        processes = max(len(cluster.ncores()), 1) if cluster else getattr(shared, "_max_workers", 1)
+        yield 2 * processes * [shared]  # so that each process finds its next run waiting
+
+
 def ordered_map(task: Callable, arguments: Sequence, title: str, quiet: bool = False, apart: bool = False) -> list:
     """Call `task` with each of `arguments` in parallel; returns the results in the order of the arguments.
 
-    Each call has a thread of its own; the processes of `executor` compute what it hands to `work`. A few tasks, and all
-    of them where there is one process, are computed here. With `apart` they are not: each thread has a local process of
-    its own, for code that may end its process or never come back, and all of these end with the study. `title` names
-    the progress bar, `quiet` leaves it out. A task must not call `ordered_map`. InputError when a process ended or
-    imported another version of railrepro.
+    Each call runs in a thread, and what it hands to `work` in a process of `executor`. With up to 4 arguments, or one
+    process, all is computed in this process. With `apart` each thread has a local process of its own, which ends with
+    the study: for code that may end its process or never return. `title` names the progress bar, `quiet` leaves it out.
+    A task must not call `ordered_map`. InputError when a process ended or imported another version of railrepro.
     """
     assert not hasattr(_around, "pool"), "a task would wait for itself"
     local = not apart and not os.environ.get("RAILREPRO_DASK") and not _processes.cache_info().currsize
@@ -161,22 +149,22 @@ def ordered_map(task: Callable, arguments: Sequence, title: str, quiet: bool = F
             return task(argument)
 
     with _pools(apart) as pools:
-        threads = ThreadPoolExecutor(len(pools), initializer=lambda: setattr(_around, "pool", pools.pop()))
+        threads = futures.ThreadPoolExecutor(len(pools), initializer=lambda: setattr(_around, "pool", pools.pop()))
         try:
-            futures = [threads.submit(called, argument) for argument in arguments]
-            for done in tqdm(as_completed(futures), title, len(futures), leave=False, disable=quiet):
+            calls = [threads.submit(called, argument) for argument in arguments]
+            for done in tqdm(futures.as_completed(calls), title, len(calls), leave=False, disable=quiet):
                 done.result()
-            return [future.result() for future in futures]
-        except (BrokenExecutor, CancelledError) as error:
+            return [one.result() for one in calls]
+        except (futures.BrokenExecutor, futures.CancelledError) as error:
             raise InputError(_LOST if os.environ.get("RAILREPRO_DASK") else _ENDED) from error
         finally:
             threads.shutdown(wait=False, cancel_futures=True)
 
 
 def work(function: Callable, *arguments, limit: float | None = None):
-    """Return `function(*arguments)`; in a task of `ordered_map` a process of `executor` computes it, else this one.
+    """Return `function(*arguments)`. In a task of `ordered_map` a process of `executor` computes it, else this one.
 
-    In a task TimeoutError after `limit` seconds, and BrokenExecutor when the process ended.
+    In a task: TimeoutError after `limit` seconds, BrokenExecutor when the process ended.
     """
     pool = getattr(_around, "pool", None)
     if pool is None:
@@ -195,7 +183,7 @@ def _code(function: Callable) -> tuple[str, str]:
 
 
 def _checked(asked: tuple, function: Callable, *arguments):
-    """Result of a function; InputError where this process imported other code than was asked."""
+    """Result of a function; InputError where this process imported other code than `asked` (`_code`)."""
     if _code(function) != asked:
         raise InputError(_OTHER_CODE)
     return function(*arguments)

@@ -1,4 +1,4 @@
-"""Experiments: a scenario, a controller and changes of both, from which a run and its row of metrics are computed."""
+"""Experiments: a scenario and a controller with changes of both, from which a run and its metrics are computed."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 @dataclass(frozen=True)
 class Experiment:
-    """One closed-loop run that is yet to be simulated; calling it returns its metrics and the series that it keeps.
+    """Closed-loop run that is yet to be simulated; calling it returns its metrics and its series.
 
     Attributes:
         scenario: Scenario
@@ -46,15 +46,15 @@ class Experiment:
         vehicle: Changed vehicle parameters, dotted key -> value as in `load_vehicle`, known to car and controllers.
         plant: Changed parameters of the simulated car that its controllers do not know; keys as in `vehicle`.
         adhesion: Settings of the adhesion law (slip control); None takes its defaults, or those that the sensors need.
-        fixed_share: Share of the torque limit reserved for guidance (-); 0 is the paper's allocation.
-        alignment: Alignment of a track in place of the scenario's own track; None keeps that.
+        fixed_share: Fraction of the torque limit reserved for guidance (-); 0 is the paper's allocation.
+        alignment: Alignment of a track in place of that of the scenario; None keeps it.
         irregular: Arguments of `rough_track` besides p, as {"spectrum": "en_B_300", "seed": 3}; {} is an ideal track.
         preview: Arguments of `preview.plan` besides `frame`; {} is a controller without preview of irregular rails.
         sensors: Arguments of `estimation.sensors.readings`; {} gives the controllers the true signals.
         setting: Setting of comparison whose tuned parameters are taken: "paper" or "loop".
         substeps: Integration steps of the car per ms; None is 2 for ride figures on irregular rails, else 1.
         ride: Whether the row also has the comfort and force figures of `ride.ride_summary`.
-        stride: Every n-th control cycle (1 ms) of the front gear is kept (`metrics.gear_series`); 0 keeps no series.
+        stride: The series has every n-th control cycle (1 ms), see `metrics.gear_series`; 0 for no series.
     """
 
     scenario: Scenario
@@ -86,29 +86,11 @@ class Experiment:
         return load_vehicle(**self.vehicle | self.plant)
 
     def tuned(self) -> dict:
-        """Tuning parameters of the controller by name: `parameters`, or without them the tuned ones of `setting`."""
-        if self.parameters is not None:
-            return self.parameters
-        return registry.parameters(self.controller, self.setting)
-
-    def rails(self) -> tuple[pd.DataFrame | None, tuple[np.ndarray, np.ndarray] | None]:
-        """Irregularities of the rails, and the line that a controller plans with them, as a pair.
-
-        The first is a DataFrame of `rough_track` up to the end of the scenario, None on an ideal track. The second is
-        the pair (p, line) of `preview.plan`, None without preview. InputError for a preview on an ideal track.
-        """
-        if not self.irregular and not self.preview:
-            return None, None
-        if not self.irregular:
-            raise InputError("preview: the track is ideal, `irregular` is needed to know anything of it")
-        allowed = [name for name in inspect.signature(preview.plan).parameters if name != "frame"]
-        if unknown := sorted(set(self.preview) - set(allowed)):
-            raise InputError(f"preview: {unknown[0]!r} is not known; there are {allowed}")
-        changed = code.signature(paths.source("data/irregularities.toml"))
-        return _rails(self.scenario.end_m, json.dumps(self.irregular), json.dumps(self.preview), changed)
+        """Tuning parameters of the controller by name: `parameters`, or those of its tuned set."""
+        return registry.parameters(self.controller, self.setting) if self.parameters is None else self.parameters
 
     def run(self) -> simulate.Run:
-        """Simulate and return the whole run: series of both gears and why it ended. The store is not used."""
+        """Simulate and return the run: series of both gears and why it ended. The store is not used."""
         around = self._surroundings()
         return simulate.run(
             self.scenario,
@@ -116,7 +98,7 @@ class Experiment:
             route=around.route,
             sensors=around.sensors,
             substeps=1 + bool(self.ride and self.irregular) if self.substeps is None else self.substeps,
-            vehicle=around.believed,
+            vehicle=around.nominal,
             plant_vehicle=around.car,
             adhesion=self.adhesion,
             fixed_share=self.fixed_share,
@@ -124,49 +106,38 @@ class Experiment:
 
     def _surroundings(self) -> Surroundings:
         """`Surroundings` of the run, made once for all runs with equal fields and unchanged files."""
-        fields = tuple(getattr(self, name) for name in _AROUND)
         files = [*map(paths.source, _FILES), Path(self.scenario.track_file())]
         try:
-            packed = pickle.dumps(fields)
+            packed = pickle.dumps([getattr(self, name) for name in _AROUND])
         except (pickle.PickleError, TypeError, AttributeError):  # of a value that is refused
             return _made(self)
         return _shared(packed, tuple((str(file), code.signature(file)) for file in files))
 
-    def _route(self) -> Route:
-        """Route of the scenario with its rails, on its own track or on `alignment`."""
-        rails = self.rails()
-        if self.alignment is None:
-            return self.scenario.route(*rails)
-        with scratch() as folder:
-            file = folder / f"{self.alignment.name}.csv"
-            write_table(build_table(self.alignment), file)
-            return self.scenario.but(track=str(file)).route(*rails)
-
     def key(self, measure: Measure) -> str | None:
-        """Key of a result of this run in `store`, a hash; None for a controller from a user's file (not stored).
+        """Hash under which `store` has the result of `measure` for this run, see `measured`.
 
-        `measure` is the function that computes the result, see `measured`. The key depends on the code and all values
-        of vehicle, tuning parameters, track and sensors; names and labels do not count.
+        It depends on the code and on all values of vehicle, tuning parameters, track and sensors, not on names and
+        labels. None for a controller from a user's file, whose results are not stored.
         """
         if not _is_ours(self.controller):
-            return None  # of a user's file
+            return None
         around = self._surroundings().digest
-        own = {name: value for name, value in vars(self).items() if name not in ("label", "setting", *_AROUND)}
-        own |= {"parameters": self.tuned()}
-        return around and store.key(measure.__module__, measure.__qualname__, around, own)
+        others = {name: value for name, value in vars(self).items() if name not in ("label", "setting", *_AROUND)}
+        others |= {"parameters": self.tuned()}
+        return around and store.key(measure.__module__, measure.__qualname__, around, others)
 
     def measured(self, measure: Measure) -> store.Entry:
-        """Result of `measure(run, experiment)` for this run: read from the store, else simulated by `executor.work`.
+        """Return `measure(run, experiment)` for this run, read from the store or simulated by `executor.work`.
 
-        `measure` is a module-level function. It returns a pair: a dict of plain values, and a DataFrame of numbers or
-        None. It must not use labels of the experiment.
+        `measure` is a function of a module, which must not use the `label`. It returns a pair: a dict of plain values,
+        and a DataFrame of numbers or None.
         """
         return store.entry(self.key(measure), lambda: work(_measured, self, measure))
 
     def __call__(self) -> tuple[dict, pd.DataFrame | None]:
         """Simulate the run, or read its result from the store; returns a pair (row, series).
 
-        row: dict with the keys scenario, controller, those of `label` and those of `values`. series: DataFrame of
+        row: dict with the keys scenario, controller, those of `label` and of `values`. series: DataFrame of
         `metrics.gear_series` with the `label` as columns, None for a `stride` of 0.
         """
         values, series = self.measured(_values)
@@ -174,7 +145,7 @@ class Experiment:
         return row, None if series is None else series.assign(**self.label)
 
     def values(self, run: simulate.Run) -> dict:
-        """Metrics of a run in SI units, as a dict: name -> value.
+        """Metrics of a run, in SI units, as a dict from name to value.
 
         Keys: names of `metrics.summary` (NaN if the run failed), of `metrics.longitudinal` and, with `ride`, of
         `ride.ride_summary`; failed (bool); failed_at_m (NaN unless failed); ended, why the run ended (text); warnings
@@ -187,23 +158,23 @@ class Experiment:
         values |= metrics.longitudinal(series, self.scenario, vehicle)
         if self.ride and not run.failed:
             values |= ride.ride_summary(series, vehicle)
-        row = {name: value for name, (value, _) in values.items()}
-        row |= {"failed_at_m": float(series["front.p"].iloc[-1]) if run.failed else np.nan}
-        row |= {"failed": run.failed, "ended": run.ended, "warnings": "; ".join(run.warnings)}
-        return row | {"fallbacks": sum(getattr(controller, "fallbacks", 0) for controller in run.controllers)}
+        return {name: value for name, (value, _) in values.items()} | {
+            "failed_at_m": float(series["front.p"].iloc[-1]) if run.failed else np.nan,
+            "failed": run.failed,
+            "ended": run.ended,
+            "warnings": "; ".join(run.warnings),
+            "fallbacks": sum(getattr(controller, "fallbacks", 0) for controller in run.controllers),
+        }
 
 
 class Surroundings(NamedTuple):
-    """What surrounds the controller in a run. Runs of a study share it, so nothing of it may be changed.
+    """Car, route and sensors around the controllers of a run. Runs of a study share them, so they must not be changed.
 
-    Attributes:
-        believed, car (Vehicle): Parameters that the controllers assume, and those of the simulated car.
-        route (Route): Track, rails and set point.
-        sensors (Readings or None): Sensors between car and controllers.
-        digest (str or None): Hash of the values that it follows from; None for a value that `store` does not take.
+    `nominal` is the car that the controllers assume, `car` the simulated one. `digest` is a hash of all values from
+    which these follow; None if `store` does not take one of them.
     """
 
-    believed: Vehicle
+    nominal: Vehicle
     car: Vehicle
     route: Route
     sensors: sensors.Readings | None
@@ -213,42 +184,57 @@ class Surroundings(NamedTuple):
 _AROUND = ("scenario", "alignment", "vehicle", "plant", "irregular", "preview", "sensors")
 """Fields of an `Experiment` from which its `Surroundings` follow."""
 _FILES = tuple(f"data/{name}.toml" for name in ("vehicle", "tracks", "irregularities", "sensors"))
-"""Files from which they follow, besides a track of its own."""
+"""Files from which they follow, besides a track in a file of its own."""
 
 
 @lru_cache(maxsize=32)
 def _shared(packed: bytes, _files: tuple) -> Surroundings:
-    """`Surroundings` of the packed values of `_AROUND`, with the present state of the files."""
+    """`Surroundings` of the packed values of `_AROUND`, for a state of the files."""
     return _made(Experiment(controller=registry.NOTHING, **dict(zip(_AROUND, pickle.loads(packed), strict=True))))
 
 
-def _made(of: Experiment) -> Surroundings:
-    scenario = {name: value for name, value in vars(of.scenario).items() if name not in ("name", "track")}
-    track = None if of.alignment else load_track(of.scenario.track_file())
-    believed, car, route = load_vehicle(**of.vehicle), of.car(), of._route()
+def _made(experiment: Experiment) -> Surroundings:
+    spectra = code.signature(paths.source("data/irregularities.toml"))
+    rails = _rails(experiment.scenario.end_m, json.dumps(experiment.irregular), json.dumps(experiment.preview), spectra)
+    if experiment.alignment is None:
+        track = load_track(experiment.scenario.track_file())
+        route, table = experiment.scenario.route(*rails), (track.table.to_numpy(), track.design_speed)
+    else:
+        with scratch() as folder:
+            file = folder / f"{experiment.alignment.name}.csv"
+            write_table(build_table(experiment.alignment), file)
+            route, table = experiment.scenario.but(track=str(file)).route(*rails), None
     route.cells.flags.writeable = False
-    read: list = [scenario, track and (track.table.to_numpy(), track.design_speed), of.alignment, believed, car]
-    read += [of.rails(), of.preview, (of.sensors, sensors.load_loop()) if of.sensors else None]
-    seen, digest = sensors.readings(**of.sensors) if of.sensors else None, None
+    nominal, car, digest = load_vehicle(**experiment.vehicle), experiment.car(), None
+    readings = sensors.readings(**experiment.sensors) if experiment.sensors else None
+    scenario = {name: value for name, value in vars(experiment.scenario).items() if name not in ("name", "track")}
+    loop = (experiment.sensors, sensors.load_loop()) if experiment.sensors else None
     with suppress(TypeError):
-        digest = store.digest(*read)
-    return Surroundings(believed, car, route, seen, digest)
+        digest = store.digest(scenario, table, experiment.alignment, nominal, car, rails, experiment.preview, loop)
+    return Surroundings(nominal, car, route, readings, digest)
 
 
 @lru_cache(maxsize=64)
-def _rails(
-    end: float, irregular: str, known: str, changed: tuple | None
-) -> tuple[pd.DataFrame, tuple[np.ndarray, np.ndarray] | None]:
-    """Irregularities up to a coordinate (m), and the line planned with them; studies drive the same ones very often.
-    `changed` is the state of the file with the spectra."""
+def _rails(end: float, irregular: str, known: str, spectra: tuple | None) -> tuple[pd.DataFrame | None, tuple | None]:
+    """Irregularities (`rough_track`) up to a coordinate (m), and the pair (p, line) of `preview.plan`; None without.
+
+    `irregular` and `known` are the fields irregular and preview as JSON, `spectra` is the state of the file of spectra.
+    """
+    if irregular == known == "{}":
+        return None, None
     if known == "{}":
         return rough_track(np.arange(0.0, end, CELL), **json.loads(irregular)), None
-    rough, _ = _rails(end, irregular, "{}", changed)
-    return rough, preview.plan(rough, **json.loads(known))
+    if irregular == "{}":
+        raise InputError("preview: the track is ideal, `irregular` is needed to know anything of it")
+    asked, allowed = json.loads(known), [*inspect.signature(preview.plan).parameters][1:]
+    if unknown := sorted(set(asked) - set(allowed)):
+        raise InputError(f"preview: {unknown[0]!r} is not known; there are {allowed}")
+    rough, _ = _rails(end, irregular, "{}", spectra)
+    return rough, preview.plan(rough, **asked)
 
 
 def _is_ours(controller: str) -> bool:
-    """Whether the factory of a controller, with what it is given, comes from this package."""
+    """Whether the factory of a controller, with its arguments, comes from this package."""
     if controller not in registry.CONTROLLERS:
         return False
     build = registry.CONTROLLERS[controller].build
@@ -260,7 +246,7 @@ Measure = Callable[[simulate.Run, Experiment], store.Entry]
 
 
 def _values(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """What the row of an experiment has, and the kept series."""
+    """Metrics of a run, and its series where the stride asks for one; for `Experiment.__call__`."""
     stride = experiment.stride
     return experiment.values(run), metrics.gear_series(run.series, stride=stride) if stride else None
 
@@ -269,21 +255,13 @@ def _measured(experiment: Experiment, measure: Measure) -> store.Entry:
     return measure(experiment.run(), experiment)
 
 
-def run_all(
-    experiments: Sequence[Experiment], title: str, quiet: bool = False
-) -> tuple[pd.DataFrame, pd.DataFrame | None]:
-    """Run experiments in parallel (`executor`), with a progress bar called `title` unless `quiet`.
+def run_all(experiments: Sequence[Experiment], title: str) -> tuple[pd.DataFrame, pd.DataFrame | None]:
+    """Run experiments in parallel (`executor`), with a progress bar called `title`.
 
-    Returns:
-        table (DataFrame): One row per experiment, in order: scenario, controller, labels and metrics (SI) of
-            `Experiment.values`.
-        series (DataFrame or None): Series (`metrics.gear_series`) below each other, with labels and the column
-            controller; None when no experiment keeps one.
+    Returns a pair: a DataFrame with the row of each experiment, in order, and a DataFrame with their series below each
+    other and the column controller, None when no experiment has one. See `Experiment.__call__`.
     """
-    results = ordered_map(call, experiments, title, quiet)
-    stored = [
-        series.assign(controller=experiment.controller)
-        for experiment, (_, series) in zip(experiments, results, strict=True)
-        if series is not None
-    ]
-    return pd.DataFrame([row for row, _ in results]), pd.concat(stored, ignore_index=True) if stored else None
+    results = ordered_map(call, experiments, title)
+    pairs = zip(experiments, results, strict=True)
+    series = [one.assign(controller=experiment.controller) for experiment, (_, one) in pairs if one is not None]
+    return pd.DataFrame([row for row, _ in results]), pd.concat(series, ignore_index=True) if series else None

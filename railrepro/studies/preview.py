@@ -1,4 +1,4 @@
-"""What a controller may know of the irregularities ahead, and the line that it plans with it (the paper's outlook)."""
+"""A controller's knowledge of the irregularities ahead, and the line that it plans with it (the paper's outlook)."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from railrepro.data import InputError, above, between, require
 
 
 def known(frame: pd.DataFrame, amplitude_error: float = 0.0, localisation_error_m: float = 0.0) -> pd.DataFrame:
-    """Irregularities as a controller believes them, in a table with the columns of `frame`, which has the true ones.
+    """Irregularities as a controller knows them, in a table with the columns of `frame`, which has the true ones.
 
-    `frame` (from `rough_track`) has evenly spaced p_m (m) and any channels. `amplitude_error` is relative: 0.1 believes
-    irregularities 10 % too large. `localisation_error_m` is the believed less the true coordinate of a feature (m).
-    Believed irregularities from beyond the ends of `frame` are zero.
+    `frame` (from `rough_track`) has evenly spaced p_m (m) and any channels. `amplitude_error` is relative: with 0.1
+    irregularities are known 10 % too large. `localisation_error_m` is how far ahead of its true coordinate a feature is
+    known (m). What would come from beyond the ends of `frame` is zero.
     """
     p, channels = frame["p_m"].to_numpy(), frame.drop(columns="p_m")
-    place = p - localisation_error_m
-    inside = (place >= p[0]) & (place <= p[-1])
-    true = scipy.interpolate.CubicSpline(p, channels.to_numpy())(np.clip(place, p[0], p[-1]))
-    believed = (1 + amplitude_error) * inside[:, None] * true
-    return pd.DataFrame({"p_m": p} | dict(zip(channels, believed.T, strict=True)))
+    true_p = p - localisation_error_m
+    inside = (true_p >= p[0]) & (true_p <= p[-1])
+    true = scipy.interpolate.CubicSpline(p, channels.to_numpy())(np.clip(true_p, p[0], p[-1]))
+    values = (1 + amplitude_error) * inside[:, None] * true
+    return pd.DataFrame({"p_m": p} | dict(zip(channels, values.T, strict=True)))
 
 
 def plan(
@@ -33,17 +33,17 @@ def plan(
     amplitude_error: float = 0.0,
     localisation_error_m: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Lateral set point between the ideal line and the rails, planned ahead within the flangeway.
+    """Plan the lateral set point between the ideal line and the rails, within the flangeway.
 
-    Minimises sum (y - share lateral)^2 + smoothing_m^4 sum (y'')^2 subject to |y - lateral| <= limit + gauge / 2 at
-    every row. The line begins and ends on the ideal line.
+    It minimises sum (y - share lateral)^2 + smoothing_m^4 sum (y'')^2 subject to |y - lateral| <= limit + gauge / 2 at
+    every row, and begins and ends on the ideal line. InputError if no line does.
 
     Args:
         frame (DataFrame): True irregularities (`rough_track`): p_m, lateral_m, gauge_m; they end within the limit.
-        share (float): 0 asks for the ideal line, 1 for the middle between the rails.
-        smoothing_m (float): Length over which the line is smooth (m); 0 asks for no smoothness.
+        share (float): 0 follows the ideal line, 1 the middle between the rails.
+        smoothing_m (float): Length over which the line is smoothed (m); 0 for none.
         limit (float): Lateral play of a wheel pair to either side between rails of nominal gauge (m).
-        amplitude_error, localisation_error_m (float): The controller's errors, relative (-) and in m, see `known`.
+        amplitude_error, localisation_error_m (float): Errors of the controller's knowledge, see `known`.
 
     Returns:
         p (ndarray, shape (n,)): Track coordinates (m).
@@ -67,10 +67,9 @@ def plan(
 
 def _smoothest(target: np.ndarray, low: np.ndarray, high: np.ndarray, weight: float) -> np.ndarray:
     """Minimiser y of |y - target|^2 + |weight second difference of y|^2 within bounds (m), shape (n,)."""
-    n = target.size
-    unit = 1e-3  # the solver works in millimetres, so that its tolerances are nanometres
+    n, unit = target.size, 1e-3  # the solver works in millimetres, so that its tolerances are nanometres
+    # Bending has unknowns of its own: with the weight squared in the Hessian rounding would exceed the tolerance.
     y, bend = ca.SX.sym("y", n), ca.SX.sym("bend", n - 2)
-    # Bending as unknowns of their own: with the weight squared in the Hessian rounding would exceed the tolerance.
     problem = {
         "x": ca.vertcat(y, bend),
         "f": ca.sumsqr(y - target / unit) + ca.sumsqr(bend),

@@ -1,9 +1,8 @@
-"""Store of results on disk: what was computed once is read again while data and code are the same.
+"""Store of results on disk: a result is read again as long as its inputs and the code are the same.
 
 The key of an entry is a hash of all that the computation reads, of the code that it can reach (`railrepro.code`), the
-compiler and the packages. An entry is a file of two lines: a hash of key and content, and the content as JSON. Entries
-are in build/store, in the user's cache where that cannot be written, or in the folder `RAILREPRO_STORE`; with the value
-"off" nothing is read or written. An entry that does not fit its hash is computed anew.
+compiler and the packages. An entry is a file of two lines: a hash of key and content, and the content as JSON. An entry
+that does not fit its hash is computed anew.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ Entry = tuple[dict, pd.DataFrame | None]
 
 
 def _plain(value) -> object:
-    """A value as lists of plain ones, the same for equal values; TypeError for what has no such form."""
+    """Convert a value to nested lists of text, which are equal for equal values; TypeError if it has no such form."""
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**53:
@@ -57,9 +56,9 @@ def _plain(value) -> object:
 def key(module: str, *parts) -> str | None:
     """Key of a computation in the store: a hexadecimal hash; None when its result cannot be stored.
 
-    `module` is the module that computes. `parts` are the name of the computation and all that it reads: numbers, text,
-    arrays, DataFrames, dataclasses, lists and dicts of these. None with a part of another type, for a module outside of
-    railrepro, and when files of railrepro were edited after their import.
+    `module` is the module that computes, `parts` are the name of the computation and all that it reads: numbers, text,
+    arrays, DataFrames, dataclasses, lists and dicts of these. The result cannot be stored with a part of another type,
+    for a module outside of railrepro, or when files of railrepro were edited after their import.
     """
     if not module.startswith("railrepro.") or not code.unchanged(within=1.0):
         return None
@@ -70,22 +69,29 @@ def key(module: str, *parts) -> str | None:
 
 
 def digest(*parts) -> str:
-    """SHA-256 (hexadecimal) of values, the same on every machine; TypeError for a type that `key` does not name."""
+    """SHA-256 (hexadecimal) of values, equal on all machines; TypeError for a type that `key` does not name."""
     return hashlib.sha256(json.dumps(_plain(parts)).encode()).hexdigest()
 
 
 @lru_cache(maxsize=1)
 def machine() -> dict[str, str]:
-    """What decides the last digits of results on this machine, name -> value: compiler, flags, packages, processor."""
-    found = {f"environment {name}": os.environ.get(name, "") for name in _NUMERICS}
-    found |= {"the compiler": cache.identity(cache.compiler(), cache.flags())}
-    found |= {"Python": sys.version, "the processor": platform.machine()}
-    return found | {f"package {name}": version for name, version in code.packages().items()}
+    """All that decides the last digits of results, by name: environment, compiler, Python, processor, packages."""
+    return {
+        **{f"environment {name}": os.environ.get(name, "") for name in _NUMERICS},
+        "the compiler": cache.identity(cache.compiler(), cache.flags()),
+        "Python": sys.version,
+        "the processor": platform.machine(),
+        **{f"package {name}": version for name, version in code.packages().items()},
+    }
 
 
 def folder() -> Path | None:
-    """Folder of the stored results; None with RAILREPRO_STORE=off, or where the user can write to no folder. InputError
-    when the variable is no absolute path."""
+    """Folder of the stored results: RAILREPRO_STORE, else build/store, or the user's cache where that cannot be
+    written.
+
+    None, so that nothing is read or stored, if the variable is "off" or no folder can be written. InputError if it is
+    no absolute path.
+    """
     given = os.environ.get(FOLDER, "")
     if given == "off":
         return None
@@ -94,30 +100,26 @@ def folder() -> Path | None:
     return Path(given) if given else next(cache.folders("store"), None)
 
 
-def _mark(name: str, content: bytes) -> bytes:
-    return hashlib.sha256(name.encode() + content).hexdigest().encode()
+def entry(name: str | None, compute: Callable[[], Entry]) -> Entry:
+    """Return the result stored under the key `name`; without it call `compute`, store its result and return it.
 
-
-def _unpacked(content: bytes) -> Entry:
+    Nothing is stored when `name` is None, or when railrepro was edited meanwhile.
+    """
+    file = None if name is None or (base := folder()) is None else base / name[:2] / f"{name[2:]}.json"
+    content, intact = b"", False
+    if file is not None:
+        with suppress(OSError):  # there is none
+            mark, _, content = file.read_bytes().partition(b"\n")
+            intact = mark == _mark(name, content)
+    if not intact:
+        row, table = compute()
+        values = [row, None if table is None else table.to_dict("list")]
+        content = json.dumps(values, default=np.generic.item).encode()
+        if file is not None and code.unchanged():
+            write(file, _mark(name, content) + b"\n" + content)
     row, columns = json.loads(content)
     return row, None if columns is None else pd.DataFrame(columns)
 
 
-def entry(name: str | None, compute: Callable[[], Entry]) -> Entry:
-    """Return the result stored under the key `name`; else call `compute`, store its result and return it.
-
-    `compute` returns a pair: a dict of plain values, and a DataFrame of numbers or None. Nothing is stored when `name`
-    is None, or when railrepro was edited meanwhile.
-    """
-    place = None if name is None or (base := folder()) is None else base / name[:2] / f"{name[2:]}.json"
-    if place is not None:
-        with suppress(OSError):  # there is none
-            mark, _, content = place.read_bytes().partition(b"\n")
-            if mark == _mark(name, content):
-                return _unpacked(content)
-    row, table = compute()
-    values = [row, None if table is None else table.to_dict("list")]
-    content = json.dumps(values, default=np.generic.item).encode()
-    if place is not None and code.unchanged():
-        write(place, _mark(name, content) + b"\n" + content)
-    return _unpacked(content)
+def _mark(name: str, content: bytes) -> bytes:
+    return hashlib.sha256(name.encode() + content).hexdigest().encode()

@@ -1,4 +1,4 @@
-"""A car with its controllers and what these are given: all that the runs of one comparison have in common."""
+"""A car with its controllers and their sensors: what all runs of one comparison have in common."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ class World:
     sensors: dict = field(default_factory=dict)
 
     def experiment(self, scenario: Scenario, controller: str, parameters: dict | None = None, **more) -> Experiment:
-        """`Experiment` of a scenario with a controller (key of `registry.CONTROLLERS`) on this car.
+        """Make the `Experiment` of a scenario with a controller (key of `registry.CONTROLLERS`) on this car.
 
-        `parameters` are its tuning parameters (default those of this world), `more` further fields of `Experiment`.
+        `parameters` replace the controller's tuning parameters; `more` are further fields of `Experiment`.
         """
         given = {"options": CONTROLLERS[controller].quick, "sensors": self.sensors, "setting": self.setting} | more
-        changed = {name: getattr(self, name) | given.pop(name, {}) for name in ("vehicle", "plant")}
-        tuned = parameters or self.parameters[controller]
-        return Experiment(scenario, self.driver(controller), parameters=tuned, **given, **changed)
+        given |= {name: getattr(self, name) | more.get(name, {}) for name in ("vehicle", "plant")}
+        given["parameters"] = parameters or self.parameters[controller]
+        return Experiment(scenario, self.driver(controller), **given)
 
     def driver(self, controller: str) -> str:
-        """Key of `registry.CONTROLLERS` that drives under the name `controller`; here the name itself."""
+        """Key of `registry.CONTROLLERS` of the controller that is called `controller` here."""
         return controller
 
     def car(self) -> Vehicle:
@@ -53,7 +53,7 @@ class World:
 
 
 def world(controllers: Iterable[str], setting: str = PAPER, seed: int = 101) -> World:
-    """`World` of the car of data/vehicle.toml with the tuned controllers of a setting of comparison; with sensors in
-    the setting `loop`, whose noise has the random `seed`."""
+    """Make the `World` of the car of data/vehicle.toml with the tuned controllers of a setting of comparison. In the
+    setting `loop` it has sensors, whose noise has the random `seed`."""
     sets = {name: dict(parameters(name, setting)) for name in controllers}
     return World(sets, setting, sensors={"seed": seed} if setting == LOOP else {})

@@ -1,2 +1,1 @@
-"""Tuning of the controllers: particle swarm, cost, stability margin, and the tuned sets. Serves the paper's section
-Multi-Body Simulation Results (PSO over Q, R, q, H, T)."""
+"""Tuning of the controllers (the paper's section Multi-Body Simulation Results: PSO over Q, R, q, H, T)."""

@@ -1,5 +1,4 @@
-"""Stability margin of a controller, from the sensitivity that is measured in the loop itself; nothing is
-linearised."""
+"""Stability margin of a controller, from the sensitivity that is measured in the loop itself, without linearisation."""
 
 from __future__ import annotations
 
@@ -19,7 +18,7 @@ from railrepro.studies.executor import work
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 WINDOW, SETTLED = 4.0, 2.0
-"""Length of the window that is analysed and time before it (s); all frequencies are whole multiples of 1 / WINDOW."""
+"""Length of the window that is analysed, and time before it (s). All frequencies are whole multiples of 1 / WINDOW."""
 FREQUENCIES = (
     *(0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 12.0, 14.0, 16.0),
     *(18.0, 20.0, 24.0, 28.0, 32.0),
@@ -27,16 +26,10 @@ FREQUENCIES = (
 """Frequencies of the disturbance (Hz)."""
 AMPLITUDE = 20.0
 """Amplitude of each sine of the disturbance (N m), well above resolution and well below limits."""
-LINEAR = 0.5
-"""Least share of the power of the response that lies at the disturbed frequencies in a stable loop."""
-AT_REST = 0.1
-"""Share of the way over which an undisturbed loop is looked at first; sensors and rails move it at once."""
-SEED = 101
-"""Seed of the noise of sensors; it is equal in both runs of `sensitivity`, so another one gives the same margin."""
 
 
 class _Probed:
-    """Law of a guidance that adds `multisine` times `amplitude` (N m) to its differential torque."""
+    """1 kHz law of a guidance that adds `multisine` times `amplitude` (N m) to the differential torque."""
 
     def __init__(self, guidance: lateral.Guidance, amplitude: float):
         (self._law, self._factory), self._amplitude = lateral.split(guidance), amplitude
@@ -52,14 +45,14 @@ class _Probed:
 
 
 class _ProbedFactory(_Probed):
-    """One that holds the torque of slower controllers, whose factory it is."""
+    """The same for a guidance that is a factory of slower controllers, whose held torque is disturbed."""
 
     def __call__(self, *of_gear) -> lateral.SlowController:
         return self._factory(*of_gear)
 
 
 def multisine(t, sine: Callable = np.sin):
-    """Disturbance for `sensitivity` (-): sum over `FREQUENCIES` f of sine(2 pi f t - phase), in type and shape of t.
+    """Disturbance of `sensitivity` (-): sum over `FREQUENCIES` f of sine(2 pi f t - phase), in type and shape of t.
 
     `t` is a number, array or CasADi expression (s); `sine` is its sine function. Source: Schroeder 1970 (phases).
     """
@@ -70,8 +63,8 @@ def multisine(t, sine: Callable = np.sin):
 def disk_margin(values: np.ndarray) -> float:
     """Symmetric disk margin a = 1 / max |S - 1/2| (-) from the complex `sensitivity` S at several frequencies.
 
-    The gain may change by (2 - a) / (2 + a) to (2 + a) / (2 - a), or the phase by 2 atan(a / 2) (rad). Source: Seiler,
-    Packard and Gahinet 2020.
+    The loop gain may change by a factor of (2 - a) / (2 + a) to (2 + a) / (2 - a), or the phase by 2 atan(a / 2) (rad).
+    Source: Seiler, Packard and Gahinet 2020.
     """
     return float(1 / np.abs(values - 0.5).max())
 
@@ -81,33 +74,32 @@ def sensitivity(
 ) -> np.ndarray | None:
     """Measure the sensitivity S = 1 / (1 + L) at the differential torque of the front gear, on straight dry track.
 
-    It compares runs at `speed_kmh` with and without the disturbance `multisine`. Returns the complex ratio of torque to
-    disturbance at `FREQUENCIES`, or None when a run fails or the loop is unstable. `law` is a guidance for
-    `simulate.run`, `vehicle` as there. `sensors` are arguments of `sensors.readings`; their noise is equal in both runs
-    and cancels.
+    It compares a run with the disturbance `multisine` to one without. Returns the complex ratio of torque to
+    disturbance at `FREQUENCIES`, or None when a run fails or the loop is unstable. `law` is the guidance and `vehicle`
+    as in `simulate.run`. `sensors` are arguments of `sensors.readings`; their noise is equal in both runs and cancels.
     """
     end = (WINDOW + SETTLED + 0.1) * speed_kmh / 3.6
     scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=speed_kmh, end_m=end)
     seen = readings(**sensors) if sensors else None
-    kind = _ProbedFactory if callable(law) else _Probed
+    probed = _ProbedFactory if callable(law) else _Probed
     first, count = round(SETTLED / CONTROL_PERIOD), round(WINDOW / CONTROL_PERIOD)
 
-    def torque(amplitude: float, share: float = 1.0) -> np.ndarray | None:
-        run = simulate.run(scenario.but(end_m=share * end), kind(law, amplitude), vehicle=vehicle, sensors=seen)
+    def torque(amplitude: float, fraction: float = 1.0) -> np.ndarray | None:
+        run = simulate.run(scenario.but(end_m=fraction * end), probed(law, amplitude), vehicle=vehicle, sensors=seen)
         return None if run.failed else run.series["front.du"].to_numpy()[: first + count]
 
-    begin = torque(0.0, AT_REST) if seen is None else None
-    at_rest = begin is not None and not begin.any()  # a loop that is exactly at rest stays so
+    begin = torque(0.0, 0.1) if seen is None else None
+    at_rest = begin is not None and not begin.any()  # a loop without noise that is at rest at first stays so
     disturbed, undisturbed = torque(AMPLITUDE), np.zeros(first + count) if at_rest else torque(0.0)
     if disturbed is None or undisturbed is None:
         return None
-    answer = (disturbed - undisturbed)[first:] / AMPLITUDE
-    early, late = (np.sqrt(np.mean(half**2)) for half in np.split(answer, 2))
-    torques = np.fft.rfft(answer)
+    response = (disturbed - undisturbed)[first:] / AMPLITUDE
+    early, late = (np.sqrt(np.mean(half**2)) for half in np.split(response, 2))
+    torques = np.fft.rfft(response)
     disturbance = np.fft.rfft(multisine((first + np.arange(count)) * CONTROL_PERIOD))
     lines = np.round(np.array(FREQUENCIES) * WINDOW).astype(int)
-    answered = np.sum(np.abs(torques[lines]) ** 2) / np.sum(np.abs(torques) ** 2)
-    stable = answered > LINEAR and late < 2 * early
+    linear = np.sum(np.abs(torques[lines]) ** 2) / np.sum(np.abs(torques) ** 2)  # part of the power
+    stable = linear > 0.5 and late < 2 * early
     return torques[lines] / disturbance[lines] if stable else None
 
 
@@ -117,7 +109,7 @@ def peaks(
     """Measure, or read from the store, the largest sensitivity of a controller with tuning `parameters` at a speed.
 
     Returns a dict: peak_sensitivity (max |S|) and disk_margin (-); inf and 0 if the loop is unstable or a run fails.
-    `controller` is a key of `registry.CONTROLLERS`; `sensed` says whether it has sensors; `vehicle` as in
+    `controller` is a key of `registry.CONTROLLERS`, `sensed` says whether it has sensors, `vehicle` is as in
     `sensitivity`.
     """
     read = parameters, CONTROLLERS[controller].quick, speed_kmh, load_loop() if sensed else None
@@ -128,11 +120,12 @@ def peaks(
 def _peaks(controller: str, parameters: dict, speed_kmh: float, sensed: bool, vehicle: Vehicle | None) -> store.Entry:
     law = guidance(controller, parameters, CONTROLLERS[controller].quick)
     try:
-        found = sensitivity(law, speed_kmh, {"seed": SEED} if sensed else None, vehicle)
+        measured = sensitivity(law, speed_kmh, {"seed": 101} if sensed else None, vehicle)  # any seed: noise cancels
     except (ArithmeticError, np.linalg.LinAlgError):
-        found = None
-    largest, margin = (float("inf"), 0.0) if found is None else (float(np.abs(found).max()), disk_margin(found))
-    return {"peak_sensitivity": largest, "disk_margin": margin}, None
+        measured = None
+    if measured is None:
+        return {"peak_sensitivity": float("inf"), "disk_margin": 0.0}, None
+    return {"peak_sensitivity": float(np.abs(measured).max()), "disk_margin": disk_margin(measured)}, None
 
 
 def smallest(
@@ -143,13 +136,10 @@ def smallest(
     sensed: bool = False,
     vehicle: Vehicle | None = None,
 ) -> float:
-    """Smallest disk margin (-) over speeds, or the first one that is below `least`; inf without speeds.
-
-    The other arguments are those of `peaks`.
-    """
-    smallest = float("inf")
+    """Smallest disk margin (-) over speeds, or the first below `least`; inf without speeds. Arguments as in `peaks`."""
+    margin = float("inf")
     for speed in speeds_kmh:
-        smallest = min(smallest, peaks(controller, parameters, speed, sensed, vehicle)["disk_margin"])
-        if smallest < least:
+        margin = min(margin, peaks(controller, parameters, speed, sensed, vehicle)["disk_margin"])
+        if margin < least:
             break
-    return smallest
+    return margin

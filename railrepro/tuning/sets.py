@@ -1,4 +1,4 @@
-"""Tuned sets of data/tuned: the parameters that swarms found, with all particles that they evaluated."""
+"""Tuned sets of data/tuned: the parameters that the swarms found, with all particles that they evaluated."""
 
 from __future__ import annotations
 
@@ -10,25 +10,20 @@ import pandas as pd
 from railrepro import data, paths
 from railrepro.control.registry import PAPER, TUNED, tuned_set
 
+load = tuned_set
+"""Load the tuned set of a controller in a setting of comparison, see `registry.tuned_set`."""
 
-def save(found: dict, folder: Path) -> None:
-    """Write `found`, a result of `tune` or `by_rule`, to a folder: CONTROLLER.json, and the history of a swarm to
-    CONTROLLER_particles.csv."""
-    content = {key: value for key, value in found.items() if key != "history"}
-    if "history" in found:
-        particles = found["history"].to_csv(index=False, float_format="%.6g")
-        data.write(folder / f"{found['controller']}_particles.csv", particles)
-    data.write(folder / f"{found['controller']}.json", json.dumps(content, indent=2) + "\n")
+
+def save(result: dict, folder: Path) -> None:
+    """Write a `result` of `tune` or `by_rule` to CONTROLLER.json in a folder, and its history, which only a swarm has,
+    to CONTROLLER_particles.csv."""
+    content, name = dict(result), result["controller"]
+    history = content.pop("history", None)
+    if history is not None:
+        data.write(folder / f"{name}_particles.csv", history.to_csv(index=False, float_format="%.6g"))
+    data.write(folder / f"{name}.json", json.dumps(content, indent=2) + "\n")
 
 
 def particles(controller: str, setting: str = PAPER) -> pd.DataFrame:
-    """Evaluated particles of all swarms of a tuning, read from data/tuned: a row each, columns as `tune`'s history."""
+    """Read the evaluated particles of all swarms of a controller, a row each, with the columns of `tune`'s history."""
     return pd.read_csv(paths.source(f"{TUNED}/{setting}/{controller}_particles.csv"))
-
-
-def load(controller: str, setting: str = PAPER) -> dict:
-    """Tuned set of a controller in a setting of comparison: the dict of `tune` or `by_rule` without history.
-
-    A designed controller has only the keys controller, setting and parameters. InputError when there is none.
-    """
-    return tuned_set(controller, setting)

@@ -1,4 +1,4 @@
-"""Particle swarm optimisation with a global best, constriction and reflecting bounds; seeded.
+"""Particle swarm optimisation with a global best, constriction and reflecting bounds.
 
 Source: Kennedy and Eberhart 1995; constriction factor after Clerc and Kennedy 2002 (chi = 0.7298, c1 = c2 = 2.05).
 """
@@ -10,7 +10,6 @@ import numbers
 import reprlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -23,9 +22,9 @@ CONSTRICTION, ATTRACTION = 0.7298, 2.05
 
 @dataclass(frozen=True)
 class Dimension:
-    """One searched parameter with its bounds `low` and `high`; InputError for an impossible range.
+    """Searched parameter with bounds `low` and `high`. InputError for an impossible range.
 
-    On the scale "linear" the swarm moves in the value, on "log" in its log10; "integer" rounds to whole numbers.
+    The swarm moves in the value on the scale "linear", in its logarithm on "log"; "integer" rounds the value.
     """
 
     name: str
@@ -41,14 +40,14 @@ class Dimension:
             raise InputError(f"dimension {self.name}: bounds {self.low}..{self.high} do not span a {self.scale} range")
 
     def value(self, position: float) -> float:
-        """Parameter value at a position of the swarm: 0 is `low`, 1 is `high`, between them by `scale`."""
+        """Parameter value at a position on the scale: 0 is `low`, 1 is `high`."""
         if self.scale == "log":
             return float(self.low * (self.high / self.low) ** position)
         value = self.low + position * (self.high - self.low)
         return round(value) if self.scale == "integer" else float(value)
 
     def position(self, value: float) -> float:
-        """Position (0 at `low`, 1 at `high`) of a parameter value; InputError when it lies outside of the bounds."""
+        """Position of a parameter value on the scale, the inverse of `value`; InputError outside of the bounds."""
         if not self.low <= value <= self.high:
             raise InputError(f"dimension {self.name}: start {value!r} is not in {self.low}..{self.high}")
         if self.scale == "log":
@@ -59,27 +58,29 @@ class Dimension:
 class Swarm:
     """State of a particle swarm: `ask` gives a parameter set per particle, `tell` takes their costs and moves them.
 
-    `start` (name -> value) is the parameter set of the first particle, all other particles begin at random. InputError
-    when `start` lacks a parameter or is beyond the bounds. `seed` is the seed of the random numbers.
+    `start` (name -> value) is the parameter set of the first particle; all others begin at random, by `seed`.
+    InputError unless it has all parameters, within their bounds.
     """
 
     def __init__(self, dimensions: list[Dimension], particles: int, seed: int, start: dict[str, float] | None = None):
         self.dimensions, self.seed, self.iteration = dimensions, seed, 0
-        self.position = np.array([self._random(i, len(dimensions)) for i in range(particles)])
+        self.personal_cost = np.full(particles, np.inf)
+        self.rows: list[dict] = []
+        self.position = self._random(len(dimensions))
         if start:
             if set(start) != {d.name for d in dimensions}:
                 raise InputError(f"start has {sorted(start)}, {sorted(d.name for d in dimensions)} are needed")
             self.position[0] = [d.position(start[d.name]) for d in dimensions]
-        self.velocity = np.zeros_like(self.position)
-        self.own_position, self.own_cost = self.position.copy(), np.full(particles, np.inf)
-        self.rows: list[dict] = []
+        self.personal_best, self.velocity = self.position.copy(), np.zeros_like(self.position)
 
-    def _random(self, particle: int, count: int) -> np.ndarray:
-        return np.random.default_rng((self.seed, self.iteration, particle)).random(count)
+    def _random(self, count: int) -> np.ndarray:
+        """Random numbers, `count` per particle; each particle and iteration has a seed of its own."""
+        seeds = [(self.seed, self.iteration, particle) for particle in range(len(self.personal_cost))]
+        return np.array([np.random.default_rng(seed).random(count) for seed in seeds])
 
     def ask(self) -> list[dict[str, float]]:
         """Parameter sets to be evaluated, one per particle, each a dict: name -> value."""
-        return [self._values(particle) for particle in self.position]
+        return [self._values(position) for position in self.position]
 
     def _values(self, position: np.ndarray) -> dict[str, float]:
         return {d.name: d.value(x) for d, x in zip(self.dimensions, position, strict=True)}
@@ -89,60 +90,50 @@ class Swarm:
 
         A cost of inf or NaN is worst. InputError for -inf, for what is no number, and for another number of costs.
         """
-        checked = self._checked(costs)
+        given, n = list(costs) if isinstance(costs, Iterable) else [costs], len(self.dimensions)
+        wrong = [cost for cost in given if not isinstance(cost, numbers.Real) or cost == -math.inf]
+        if wrong or len(given) != len(self.position):
+            found = reprlib.repr(wrong[0]) if wrong else f"{len(given)} costs"
+            needed = f"{len(self.position)} numbers above -inf are needed"
+            raise InputError(f"swarm: the cost function gave {found}, {needed}")
+        checked = np.where(np.isfinite(given), given, np.inf)
         for i, (values, cost) in enumerate(zip(self.ask(), checked, strict=True)):
             self.rows.append({"iteration": self.iteration, "particle": i, "cost": float(cost), **values})
-        better = checked < self.own_cost
-        self.own_cost = np.where(better, checked, self.own_cost)
-        self.own_position[better] = self.position[better]
+        better = checked < self.personal_cost
+        self.personal_cost = np.where(better, checked, self.personal_cost)
+        self.personal_best[better] = self.position[better]
         self.iteration += 1
-        leader, n = self.own_position[np.argmin(self.own_cost)], len(self.dimensions)
-        for i in range(len(self.position)):
-            draw = self._random(i, 2 * n)
-            pull = ATTRACTION * draw[:n] * (self.own_position[i] - self.position[i])
-            pull += ATTRACTION * draw[n:] * (leader - self.position[i])
-            self.velocity[i] = np.clip(CONSTRICTION * (self.velocity[i] + pull), -0.5, 0.5)
+        leader, draw = self.personal_best[np.argmin(self.personal_cost)], self._random(2 * n)
+        pull = ATTRACTION * draw[:, :n] * (self.personal_best - self.position)
+        pull += ATTRACTION * draw[:, n:] * (leader - self.position)
+        self.velocity = np.clip(CONSTRICTION * (self.velocity + pull), -0.5, 0.5)
         moved = self.position + self.velocity
         low, high = moved < 0, moved > 1
         moved = np.where(low, -moved, np.where(high, 2 - moved, moved))
         self.velocity = np.where(low | high, -0.5 * self.velocity, self.velocity)
         self.position = np.clip(moved, 0, 1)
 
-    def _checked(self, costs: Any) -> np.ndarray:
-        """Costs as an array, inf where one is not finite."""
-        values, particles = list(costs) if isinstance(costs, Iterable) else [costs], len(self.position)
-        wrong = [value for value in values if not isinstance(value, numbers.Real) or value == -math.inf]
-        if wrong or len(values) != particles:
-            given = reprlib.repr(wrong[0]) if wrong else f"{len(values)} costs"
-            raise InputError(f"swarm: the cost function gave {given}, {particles} numbers above -inf are needed")
-        return np.where(np.isfinite(values), values, np.inf)
-
-    @property
-    def limits(self) -> list[float]:
-        """Lowest cost of each particle so far, inf before its first; the swarm ignores a set that costs more."""
-        return self.own_cost.tolist()
-
     @property
     def best(self) -> dict[str, float]:
         """Parameter set with the lowest cost so far: name -> value."""
-        return self._values(self.own_position[np.argmin(self.own_cost)])
+        return self._values(self.personal_best[np.argmin(self.personal_cost)])
 
     @property
     def cost(self) -> float:
         """Lowest cost so far; inf before the first `tell`."""
-        return float(self.own_cost.min())
+        return float(self.personal_cost.min())
 
     @property
     def history(self) -> pd.DataFrame:
         """One row per evaluated particle, columns iteration, particle (its number), cost (-) and each parameter."""
         return pd.DataFrame(self.rows)
 
-    def stagnant(self, patience: int, tolerance: float = 1e-4) -> bool:
-        """Whether the best cost has fallen by less than `tolerance` (relative) over the last `patience` iterations."""
+    def stagnant(self, patience: int) -> bool:
+        """Whether the lowest cost has fallen by less than 1e-4 of its value over the last `patience` iterations."""
         if self.iteration <= patience:
             return False
         costs = self.history.groupby("iteration")["cost"].min().cummin().to_numpy()
-        return costs[-1] > (1 - tolerance) * costs[-1 - patience]
+        return costs[-1] > (1 - 1e-4) * costs[-1 - patience]
 
 
 def minimise(
@@ -157,17 +148,18 @@ def minimise(
 ) -> Swarm:
     """Minimise a cost by a particle swarm; returns the swarm with its `best` set, `cost` and `history`.
 
-    It ends after `iterations` moves of all particles, or when it is `stagnant`. InputError when the cost function gave
-    no finite cost at all, or what is no list of costs (see `Swarm.tell`).
+    InputError when the cost function gave no finite cost at all, or what `Swarm.tell` refuses.
 
     Args:
-        evaluate (callable): Takes a parameter set (dict) and a limit (`Swarm.limits`) per particle, as two lists, and
-            returns a list of costs. A cost above its limit may be any larger number; one that is not finite is worst.
-        particles, iterations (int): Size of the swarm, and its largest number of moves.
+        evaluate (callable): Takes two lists, a parameter set (dict) and a limit per particle, and returns a list of
+            costs. The limit is the lowest cost of the particle so far, at first inf. A cost above it may be any larger
+            number; one that is not finite is worst.
+        dimensions (list of Dimension): Searched parameters.
+        particles, iterations (int): Size of the swarm, and largest number of its moves.
         seed (int): Seed of the random numbers.
-        patience (int): Iterations without improvement (1e-4 relative) after which it stops.
+        patience (int): Number of iterations after which the swarm stops unless the cost has fallen, see `stagnant`.
         start (dict, optional): Parameter set of the first particle; the others begin at random.
-        title (str): Text of the progress bar; empty for none.
+        title (str): Title of the progress bar; empty for none.
     """
     for name, value, least in (("particles", particles, 1), ("iterations", iterations, 1), ("seed", seed, 0)):
         require(f"swarm: {name}", value, between(least, 2**63), whole=True)
@@ -176,7 +168,7 @@ def minimise(
     swarm = Swarm(dimensions, particles, seed, start)
     with tqdm(total=iterations, desc=title, unit="iteration", disable=not title, delay=0.1) as bar:
         while swarm.iteration < iterations and not swarm.stagnant(patience):
-            swarm.tell(evaluate(swarm.ask(), swarm.limits))
+            swarm.tell(evaluate(swarm.ask(), swarm.personal_cost.tolist()))
             bar.set_postfix_str(f"best cost {swarm.cost:.4f}")
             bar.update()
     if not math.isfinite(swarm.cost):

@@ -1,9 +1,4 @@
-"""Tuning tasks of data/tuning.toml: for each setting of comparison runs, cost, budget, and what is searched.
-
-The ranking of controllers depends on their tuning and measurements, so there are two settings: `paper` (perfect
-measurements, dry rail) and `loop` (sensor noise, latency and filter, all rails). In both every controller keeps the
-same stability margin. Serves the paper's section Multi-Body Simulation Results (PSO over Q, R, q, H, T).
-"""
+"""Tuning tasks of data/tuning.toml: runs, cost, budget and searched parameters for each setting of comparison."""
 
 from __future__ import annotations
 
@@ -29,17 +24,17 @@ SEED = Annotated[int, between(0, 2**63)]
 
 @dataclass(frozen=True)
 class Task:
-    """Tuning task of one setting of comparison: the runs, their cost, and the parameters that swarms search.
+    """Tuning task of one setting of comparison.
 
     Attributes:
-        setting: Setting of comparison.
-        budget, cost, margin: Tables of data/tuning.toml, see `Budget`, `Cost` and `Margin`.
-        runs: Name -> run without controller. The cost is the mean over these runs; the hardest is the last.
+        setting: One of `registry.SETTINGS`.
+        budget, cost, margin: Tables of data/tuning.toml with the keys of `Budget`, `Cost` and `Margin`.
+        runs: Name -> run without a controller. The cost is the mean over these runs; the last one is the hardest.
         dimensions: Controller -> parameters that its swarms search, with bounds.
         designed: Controller -> tuning parameters chosen by hand, name -> value.
         start: Controller -> tuning parameters at which the first particle of each swarm begins.
         rule: Inversion whose poles follow from the margin (`tune.by_rule`) -> its other tuning parameters.
-        sensed: Whether controllers have sensors.
+        sensed: Whether the controllers have sensors.
     """
 
     setting: str
@@ -62,7 +57,7 @@ class Task:
 
 @data.table
 class Budget:
-    """Size of a search: particles per swarm, iterations, iterations without improvement (`patience`), swarm seeds."""
+    """Size of a search; `patience` is the number of iterations without improvement after which a swarm stops."""
 
     particles: COUNT
     iterations: COUNT
@@ -72,7 +67,7 @@ class Budget:
 
 @data.table
 class Cost:
-    """Scales and weights of the cost of a run, see `run_cost`."""
+    """Scales and weights of the cost of a run, see `cost.run_cost`."""
 
     y_scale_mm: Annotated[Number, above(0.0, 1e3, "mm")]
     du_scale_Nm: Annotated[Number, above(0.0, 1e6, "N m")]
@@ -84,7 +79,7 @@ class Cost:
 
 @data.table
 class Margin:
-    """Stability margin that every set keeps: least disk margin (-), speeds in the order in which they are measured."""
+    """Least disk margin (-) that every set keeps at some speeds, in the order in which they are measured."""
 
     least: Annotated[Number, between(0.0, 2.0)]
     speeds_kmh: tuple[Annotated[Number, between(10.0, 500.0, "km/h")], ...]
@@ -92,10 +87,10 @@ class Margin:
 
 @data.table
 class RunEntry:
-    """Run of the tuning task, an entry of data/tuning.toml: a scenario by name with changes.
+    """Run of the tuning task: a scenario by name, and what differs from it.
 
-    `end_m` is the end of the run (m), `seed` the one of its sensors, `speed_kmh` its speed (None: of the scenario).
-    `irregular` and `plant` are as in `Experiment`, `inverter` has changed entries of data/sensors.toml.
+    `seed` is the random seed of the sensors, `speed_kmh` None keeps the speed of the scenario. `irregular` and `plant`
+    are as in `Experiment`, `inverter` has changed entries of this table of data/sensors.toml.
     """
 
     scenario: str
@@ -109,7 +104,7 @@ class RunEntry:
 
 @data.table
 class SettingEntry:
-    """Setting of comparison in data/tuning.toml: whether runs have sensors, names of runs, the rest as in `Task`."""
+    """Setting of comparison: whether its runs have sensors, their names, and the rest as in `Task`."""
 
     sensors: StrictBool
     runs: Annotated[tuple[str, ...], NOT_EMPTY]
@@ -118,17 +113,14 @@ class SettingEntry:
     start: dict[str, dict[str, Plain]] = field(default_factory=dict)
 
 
-def _dimensions(bounds: dict[str, tuple[Number, Number, str]]) -> list[Dimension]:
-    return [Dimension(name, *bound) for name, bound in bounds.items()]
-
-
 _SCALE = Literal["linear", "log", "integer"]
-_BOUNDS = Annotated[dict[str, tuple[Number, Number, _SCALE]], NOT_EMPTY, AfterValidator(_dimensions)]
+_DIMENSIONS = AfterValidator(lambda bounds: [Dimension(name, *bound) for name, bound in bounds.items()])
+_BOUNDS = Annotated[dict[str, tuple[Number, Number, _SCALE]], NOT_EMPTY, _DIMENSIONS]
 
 
 @data.table
 class TaskFile:
-    """Content of data/tuning.toml; `controller` maps a controller to the `Dimension` of each searched parameter."""
+    """Content of data/tuning.toml; `controller` maps a controller to its list of `Dimension`."""
 
     budget: Annotated[Budget, AS_GIVEN]
     cost: Annotated[Cost, AS_GIVEN]
@@ -139,27 +131,28 @@ class TaskFile:
 
 
 def triple_pole(pole: float) -> dict[str, float]:
-    """Tuning parameters of NDI with all three poles at `pole` (rad/s): keys pole, frequency (rad/s), damping (-)."""
+    """Tuning parameters of NDI with three poles at `pole` (rad/s): keys pole and frequency (rad/s), damping (-)."""
     return {"pole": pole, "frequency": pole, "damping": 1.0}
 
 
 def _known(names: Iterable[str], known: Iterable[str], where: str) -> None:
-    """Refuse the first name that is none of the known ones."""
+    """Raise InputError for the first name that is not among the known ones."""
     for name in names:
         if name not in known:
             raise InputError(f"{where} {reprlib.repr(name)}, which is not known; there are {sorted(known)}")
 
 
 def load_task(path: Path | str | None = None, setting: str = PAPER) -> Task:
-    """Tuning task of a setting of comparison from a TOML file (default data/tuning.toml); InputError if it is wrong."""
+    """Read the tuning task of a setting of comparison from a TOML file (default data/tuning.toml). InputError if the
+    file is wrong."""
     file = data.location(path, paths.source("data/tuning.toml"))
     content = data.build(TaskFile, data.read(file), file.name)
     _known([setting], content.setting, f"{file.name}: setting")
     entry, where = content.setting[setting], f"{file.name}: [setting.{setting}]"
     _known(entry.runs, content.run, f"{where} has the run")
     runs = {name: _run(content.run[name], entry.sensors, f"{file.name}: [run.{name}]") for name in entry.runs}
-    _known(content.controller, CONTROLLERS, f"{file.name}: [controller] has")
     dimensions = content.controller
+    _known(dimensions, CONTROLLERS, f"{file.name}: [controller] has")
     _known([*entry.designed, *entry.start], dimensions, f"{where} has")
     _known(entry.rule, INVERSIONS, f"{where} has the rule of poles for")
     try:
@@ -171,9 +164,8 @@ def load_task(path: Path | str | None = None, setting: str = PAPER) -> Task:
             guidance(name, triple_pole(1.0) | parameters)
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
-    tables = content.budget, content.cost, content.margin
-    own = entry.designed, entry.start, entry.rule, entry.sensors
-    return Task(setting, *tables, runs, dimensions, *own)
+    choices = entry.designed, entry.start, entry.rule, entry.sensors
+    return Task(setting, content.budget, content.cost, content.margin, runs, dimensions, *choices)
 
 
 def _run(entry: RunEntry, sensed: bool, where: str) -> Experiment:
@@ -186,6 +178,7 @@ def _run(entry: RunEntry, sensed: bool, where: str) -> Experiment:
         load_loop(**inverter)
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
-    sensors = {"seed": entry.seed} | inverter if sensed or inverter else {}
-    sensors |= {"perfect": True} if inverter and not sensed else {}
+    sensors = {"seed": entry.seed, **inverter} if sensed or inverter else {}
+    if inverter and not sensed:
+        sensors["perfect"] = True
     return Experiment(scenario, NOTHING, irregular=entry.irregular, plant=entry.plant, sensors=sensors)

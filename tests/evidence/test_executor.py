@@ -1,4 +1,4 @@
-"""Workers that are lost, and threads that must not matter."""
+"""Processes and threads of a study: results do not depend on them, and the loss of one is reported."""
 
 import os
 import signal
@@ -22,18 +22,9 @@ from railrepro.studies.executor import executor, ordered_map, work
 
 @pytest.fixture(autouse=True)
 def processes(monkeypatch):
-    """Studies of any size have processes of their own."""
+    """Studies of any size have two processes of their own."""
     monkeypatch.setattr(executors, "_FEW", 0)
-
-
-def killed_once(task):
-    """A number; when it is asked for the first time, some processes are killed, then its own for 0."""
-    number, flag, victims = task
-    if victims and not flag.exists():
-        flag.touch()
-        for process in sorted(victims, key=lambda process: process in (0, os.getpid())):
-            os.kill(process or os.getpid(), signal.SIGKILL)
-    return number
+    monkeypatch.setenv("RAILREPRO_WORKERS", "2")
 
 
 RUN = """
@@ -69,37 +60,30 @@ def test_tasks_run_one_at_a_time_but_wait_side_by_side(monkeypatch):
     """CasADi's objects must not be used by two threads at a time."""
     inside, crowds, meeting = [], [], Barrier(4)
 
-    def busy(number):
+    def task(number):
+        work(meeting.wait, 20)  # passes when all four tasks wait
         inside.append(number)
         time.sleep(0.02)
         crowds.append(len(inside))
         inside.pop()
         return number
 
-    def task(number):
-        work(meeting.wait, 20)  # passes when all four tasks wait
-        return busy(number)
-
-    monkeypatch.setenv("RAILREPRO_WORKERS", "4")
     monkeypatch.setattr(executors, "executor", lambda: ThreadPoolExecutor(4))
     assert ordered_map(task, range(4), "outer", quiet=True) == [0, 1, 2, 3]
     assert set(crowds) == {1}, "two tasks ran side by side"
 
 
-def test_a_killed_worker_is_told_in_one_sentence_and_the_next_study_has_others(monkeypatch, tmp_path):
-    monkeypatch.setenv("RAILREPRO_WORKERS", "2")
+def test_a_killed_worker_is_reported_in_one_sentence_and_the_next_study_has_others():
     with pytest.raises(InputError, match="was killed"):
-        ordered_map(partial(work, killed_once), [(1, tmp_path / "flag", [0])], "killed", quiet=True)
+        ordered_map(partial(work, signal.raise_signal), [signal.SIGKILL], "killed", quiet=True)
     assert ordered_map(partial(work, abs), [0, -1], "again", quiet=True) == [0, 1]
 
 
 def test_a_study_apart_has_processes_of_its_own_which_end_with_it(monkeypatch):
     """For code that may end its process or never come back."""
     monkeypatch.setattr(executors, "_FEW", 9)
-    monkeypatch.setenv("RAILREPRO_WORKERS", "2")
     before = set(psutil.Process().children(recursive=True))
-    others = ordered_map(partial(work, process), [0, 1], "apart", quiet=True, apart=True)
-    assert os.getpid() not in others
+    assert os.getpid() not in ordered_map(lambda _: work(os.getpid), [0, 1], "apart", quiet=True, apart=True)
     for function, fault in ((partial(work, time.sleep, limit=1), TimeoutError), (partial(work, os._exit), InputError)):
         with pytest.raises(fault):
             ordered_map(function, [300], "apart", quiet=True, apart=True)
@@ -109,20 +93,19 @@ def test_a_study_apart_has_processes_of_its_own_which_end_with_it(monkeypatch):
 
 def test_workers_of_other_code_are_refused(monkeypatch):
     """As those that start after an edit."""
-    monkeypatch.setenv("RAILREPRO_WORKERS", "2")
     for version in ("other", None):
         monkeypatch.setattr(code, "version", lambda version=version: version)
         with pytest.raises(InputError, match="imported other code"):
             ordered_map(partial(work, abs), [0, -1], "other", quiet=True)
 
 
-def test_a_script_without_guard_is_told_what_to_do(tmp_path):
+def test_a_script_without_guard_says_what_to_do(tmp_path):
     script = tmp_path / "own.py"
     script.write_text(
         "from railrepro.studies.executor import ordered_map, work\n"
         "ordered_map(lambda x: work(abs, x), range(8), 'own', quiet=True)\n"
     )
-    done = python(str(script), RAILREPRO_WORKERS="2")
+    done = python(str(script))
     assert done.returncode == 1 and 'calls the library outside of if __name__ == "__main__":' in done.stderr
     assert done.stderr.count("Traceback") <= 3, "the processes of the study say nothing"
     script.write_text(script.read_text().replace("range(8)", "range(4)"))
@@ -131,19 +114,18 @@ def test_a_script_without_guard_is_told_what_to_do(tmp_path):
 
 HOLDING = """
 import os, time
-from functools import partial
 from railrepro.studies.executor import ordered_map, work
 def hold(_):
     os.write(1, f"{os.getpid()}\\n".encode())
     time.sleep(600)
 if __name__ == "__main__":
-    ordered_map(partial(work, hold), range(5), "hold", quiet=True)
+    ordered_map(lambda number: work(hold, number), range(5), "hold", quiet=True)
 """
 
 
 def test_workers_end_with_a_killed_parent(tmp_path):
     (tmp_path / "hold.py").write_text(HOLDING)
-    environment = os.environ | {"PYTHONPATH": str(paths.ROOT), "RAILREPRO_WORKERS": "2"}
+    environment = os.environ | {"PYTHONPATH": str(paths.ROOT)}
     command = [sys.executable, str(tmp_path / "hold.py")]
     parent = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
     workers = [psutil.Process(int(parent.stdout.readline())) for _ in "ab"]
@@ -151,16 +133,12 @@ def test_workers_end_with_a_killed_parent(tmp_path):
     assert not psutil.wait_procs(workers, timeout=120)[1]
 
 
-def process(_):
-    return os.getpid()
-
-
 def test_a_study_runs_on_a_dask_cluster(monkeypatch):
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
         monkeypatch.setenv("RAILREPRO_DASK", cluster.scheduler_address)
         assert ordered_map(partial(work, abs), [0, -1, 2], "first", quiet=True) == [0, 1, 2]
-        assert os.getpid() not in ordered_map(partial(work, process), range(4), "elsewhere", quiet=True)
+        assert os.getpid() not in ordered_map(lambda _: work(os.getpid), range(4), "elsewhere", quiet=True)
     monkeypatch.setenv("RAILREPRO_DASK", "tcp://127.0.0.1:1")
     with pytest.raises(InputError, match="no Dask scheduler answers at RAILREPRO_DASK"), executor():
         pass

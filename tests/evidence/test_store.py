@@ -1,4 +1,4 @@
-"""The store of results: no stored row outlives the code and data that made it, and none is lost without a reason."""
+"""The store of results: a result is read again exactly as long as the code and data that made it are the same."""
 
 import math
 import os
@@ -27,14 +27,14 @@ SHORT = Experiment(load_scenario("curve_entry_T3").but(end_m=8.0), "ndi", stride
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """A store of one's own."""
+    """An empty store."""
     monkeypatch.setenv("RAILREPRO_STORE", str(tmp_path / "store"))
     return tmp_path / "store"
 
 
 @pytest.fixture
 def runs(monkeypatch):
-    """Experiments that were really simulated."""
+    """Experiments that were simulated, not read."""
     seen, run = [], Experiment.run
     monkeypatch.setattr(Experiment, "run", lambda self: seen.append(self) or run(self))
     return seen
@@ -43,8 +43,7 @@ def runs(monkeypatch):
 def test_a_row_is_read_again_to_the_last_bit_unless_the_store_is_off(folder, runs, monkeypatch):
     first, series = SHORT()
     again, stored = SHORT()
-    assert len(runs) == 1 and len(list(folder.rglob("*.json"))) == 1
-    assert repr(first) == repr(again)
+    assert len(runs) == 1 and len(list(folder.rglob("*.json"))) == 1 and repr(first) == repr(again)
     pd.testing.assert_frame_equal(series, stored, check_exact=True)
     monkeypatch.setenv("RAILREPRO_STORE", "off")
     SHORT()
@@ -72,9 +71,8 @@ CHANGES = [
 
 
 def test_whatever_a_run_reads_and_what_chooses_the_last_digits_is_in_its_key_and_no_label(monkeypatch):
-    keys = [replace(SHORT, **change).key(probe.following) for change in CHANGES]
-    assert len({*keys, SHORT.key(probe.following), SHORT.key(probe.braked)} - {None}) == len(CHANGES) + 2
-    before = SHORT.key(probe.following)
+    keys, before = [replace(SHORT, **change).key(probe.following) for change in CHANGES], SHORT.key(probe.following)
+    assert len({*keys, before, SHORT.key(probe.braked)} - {None}) == len(CHANGES) + 2
     assert replace(SHORT, label={"n": 1}).key(probe.following) == before
     monkeypatch.setattr(store, "machine", store.machine.__wrapped__)
     for name in ("RAILREPRO_CFLAGS", "OPENBLAS_CORETYPE", "GLIBC_TUNABLES"):
@@ -125,35 +123,24 @@ def test_a_run_follows_a_track_file_and_a_dict_that_are_edited_between_runs_of_a
     "broken",
     [
         lambda whole: b"",
-        lambda whole: b"3",
         lambda whole: whole[: len(whole) // 2],
         lambda whole: whole.replace(b'"rmse_y": 0.0', b'"rmse_y": 0.1'),
-        lambda whole: whole.replace(b'"rmse_y": 0.0', b'"rmse_y": "0"'),
-        lambda whole: whole.replace(b'"rmse_y": 0.0', b'"rmse_y": NaN'),
-        lambda whole: whole.replace(b'"rmse_y": 0.0, ', b""),
     ],
 )
 def test_broken_entries_are_computed_anew(broken, folder, runs):
     row, _ = SHORT()
-    (file,) = folder.rglob("*.json")
+    [file] = folder.rglob("*.json")
     whole = file.read_bytes()
     file.write_bytes(broken(whole))
-    assert file.read_bytes() != whole
-    assert repr(SHORT()[0]) == repr(row) and len(runs) == 2
+    assert file.read_bytes() != whole and repr(SHORT()[0]) == repr(row) and len(runs) == 2
     assert file.read_bytes() == whole
 
 
-def test_what_is_computed_while_code_is_edited_is_not_stored(folder, monkeypatch):
-    monkeypatch.setattr(code, "unchanged", lambda: False)
-    assert store.entry("a key", lambda: ({"fade": 1.0}, None)) == ({"fade": 1.0}, None)
-    assert not folder.exists()
-
-
 def test_an_edit_just_after_a_key_keeps_a_result_from_the_store(folder, monkeypatch):
-    key = SHORT.key(probe.following)
+    key, result = SHORT.key(probe.following), ({"fade": 1.0}, None)
     monkeypatch.setattr(code, "_edited", False)
     monkeypatch.setitem(code._SIGNATURES, code.__file__, None)
-    assert code.unchanged(within=60.0) and store.entry(key, lambda: ({"fade": 1.0}, None)) and not folder.exists()
+    assert code.unchanged(within=60.0) and store.entry(key, lambda: result) == result and not folder.exists()
     assert SHORT.key(probe.following) is None
 
 
@@ -162,7 +149,7 @@ def test_the_runs_of_an_evaluation_are_stored_one_by_one(folder, runs):
     run = replace(task.runs["T3"], scenario=task.runs["T3"].scenario.but(end_m=20.0))
     task = replace(task, runs={"T3": run, "seen": replace(run, sensors={"seed": 1})})
     cost = evaluate("ndi", task, POLES)
-    next(file for file in folder.rglob("*.json") if "rmse_y" in file.read_text()).unlink()
+    next(file for file in folder.rglob("*.json") if b"rmse_y" in file.read_bytes()).unlink()  # others are margins
     assert evaluate("ndi", task, POLES) == cost and math.isfinite(cost[0]) and len(runs) == 3
 
 
@@ -170,10 +157,9 @@ def test_what_a_worker_computes_is_stored_by_who_asked_and_asked_of_no_worker_ag
     """The worker has no folder, as one on another machine."""
     monkeypatch.setenv("RAILREPRO_WORKERS", "1")
     executors._processes.cache_clear()
-    with monkeypatch.context() as elsewhere:
+    with monkeypatch.context() as elsewhere, executor() as pool:
         elsewhere.setenv("RAILREPRO_STORE", "off")
-        with executor() as pool:
-            pool.submit(os.getpid).result()
+        pool.submit(os.getpid).result()
     experiments = [replace(SHORT, label={"n": n}, scenario=SCENARIO.but(end_m=8.0 + n)) for n in range(2)]
     first = ordered_map(call, experiments, "elsewhere", quiet=True)
     with executor() as pool:

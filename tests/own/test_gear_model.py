@@ -1,4 +1,4 @@
-"""Creep-aware lateral model: poles against the car, steady creep by hand, the control model as its limit."""
+"""Lateral model with creep: poles against the car, steady creep by hand, the control model as its limit."""
 
 import casadi as ca
 import numpy as np
@@ -19,52 +19,39 @@ def car_poles(speed, vehicle=V):
     """Poles (rad/s) of the antisymmetric motion of the car in steady rolling."""
     car = SteppedCar("T5", speed, vehicle, good="dry")
     car.step(steps=1000)
-    names = list(car.model.states)
-    rows = [np.eye(len(names))[i] for i, name in enumerate(names) if name.rpartition(".")[2] in _LATERAL]
-    for kind in ("w", "tau"):
-        for gear in ("front", "rear"):
-            left, right = (names.index(f"{kind}.{gear}_{side}") for side in ("le", "ri"))
-            rows.append((np.eye(len(names))[left] - np.eye(len(names))[right]) / np.sqrt(2))
-    basis = np.array(rows)
+    unit = dict(zip(car.model.states, np.eye(len(car.model.states)), strict=True))
+    rows = [unit[name] for name in unit if name.rpartition(".")[2] in _LATERAL]
+    wheels = ("w.front", "w.rear", "tau.front", "tau.rear")
+    basis = np.array(rows + [(unit[f"{name}_le"] - unit[f"{name}_ri"]) / np.sqrt(2) for name in wheels])
     return np.linalg.eigvals(basis @ car.linearise().a.to_numpy() @ basis.T)
 
 
 def model_poles(speed, vehicle=V):
-    """Poles (rad/s), the slow real one apart, with which the gear drifts against a body that stays on the track."""
+    """Fast poles (rad/s), and the slow real one with which the gear drifts against a body that stays on the track."""
     poles = np.linalg.eigvals(lateral_model(vehicle, speed)[0])
     slow = (np.abs(poles) < 5) & (poles.imag == 0)
     [drift] = poles[slow].real
     return poles[~slow], drift
 
 
-def distance(found, expected):
-    """Distance of each expected pole to the nearest found one, relative to its size."""
-    return np.abs(found[None, :] / expected[:, None] - 1).min(axis=1)
-
-
 @pytest.mark.parametrize(("vehicle", "tolerance", "sign"), [(V, 0.02, -1), (S1002, 0.035, 1)])
 @pytest.mark.parametrize("speed_kmh", [100, 280, 400])
 def test_poles_are_those_of_the_car(monkeypatch, vehicle, tolerance, sign, speed_kmh):
-    """With the profile's slopes in the middle, as the linearised car has them; S1002 wheels diverge, cones do not."""
+    """With the profile's slopes at its centre, as in the linearised car; S1002 wheels diverge, cones do not."""
     monkeypatch.setattr(gear_model, "_REACH", 1e-4)
-    speed = speed_kmh / 3.6
-    poles, drift = model_poles(speed, vehicle)
-    assert len(poles) == len(STATES) - 1
-    assert distance(car_poles(speed, vehicle), poles).max() < tolerance and np.sign(drift) == sign
+    poles, drift = model_poles(speed_kmh / 3.6, vehicle)
+    distance = np.abs(car_poles(speed_kmh / 3.6, vehicle) / poles[:, None] - 1).min(axis=1)  # to the nearest
+    assert len(poles) == len(STATES) - 1 and distance.max() < tolerance and np.sign(drift) == sign
 
 
 def test_steady_creep_carries_the_unbalanced_force():
-    """The gear is held in the middle of an arc, so the torque that this takes is unknown in place of y."""
+    """The gear is held at the centre of an arc; the torque that this needs is the unknown in place of y."""
     a, b, e, _ = lateral_model(V, 77.8)
     unknown = np.column_stack([np.delete(a, STATES.index("y"), 1), b])
     psi = np.linalg.solve(unknown, -e[:, KNOWN.index("side")])[STATES.index("psi") - 1]
     middle, _, steepening, _ = gear_model._profile(V)
     stiffness = -gear_model._creep(V, middle, steepening)[1][0, 1]
     assert psi == pytest.approx(-(V.body.mass / 2 + V.gear.mass) / stiffness, rel=0.01)
-
-
-def response(a, b, row, frequency):
-    return np.linalg.solve(1j * frequency * np.eye(len(a)) - a, b)[row]
 
 
 @pytest.mark.parametrize(("cone_angle", "tolerance"), [(1e-5, 2e-3), (0.025, 0.03)])
@@ -92,24 +79,22 @@ def test_stiff_creep_is_the_control_model(monkeypatch, cone_angle, tolerance):
         s = 1j * frequency
         turned = speed * (s * turning + slewing + heading / s - speed * side)
         inputs["curvature"] = turned, by_theta[keep, rolling.DPSI_DP]
-        lag = 1 / (1 + s * vehicle.drive.lag)
         for name, (ours, theirs) in inputs.items():
-            found = response(own_a, ours, STATES.index("y"), frequency)
-            expected = response(a, theirs, 2, frequency) * (lag if name == "du" else 1)
+            lag = 1 / (1 + s * vehicle.drive.lag) if name == "du" else 1
+            expected = lag * np.linalg.solve(s * np.eye(len(a)) - a, theirs)[2]
+            found = np.linalg.solve(s * np.eye(len(own_a)) - own_a, ours)[STATES.index("y")]
             assert abs(found / expected - 1) < tolerance, (name, frequency)
 
 
 def test_rails_that_move_take_the_gear_along():
-    """Beside the track or along straight and turned rails, only the springs to the car body feel it."""
-    vehicle, speed = S1002, 60.0
-    a, _, e, _ = lateral_model(vehicle, speed)
-    stage, gear = vehicle.suspension, vehicle.gear
-    offset, rate = (KNOWN.index(name) for name in ("rail_offset", "rail_rate"))
-    beside = a @ [float(name == "y") for name in STATES] + e[:, offset]
-    expected = [-2 * stage.k_y / gear.mass if name == "vy" else 0.0 for name in STATES]
-    np.testing.assert_allclose(beside, expected, atol=1e-9 * np.abs(e[:, offset]).max())
-    along = {"vy": 1.0, "psi": 1 / speed}
-    turned = a @ [along.get(name, 0.0) for name in STATES] + e[:, rate]
+    """On rails that lie off centre, or move sideways, only the springs to the car body act on the gear."""
+    speed, stage, gear = 60.0, S1002.suspension, S1002.gear
+    a, _, e, _ = lateral_model(S1002, speed)
     springs = {"y": 1.0, "vy": -2 * stage.c_y / gear.mass, "r": -stage.yaw_stiffness / speed / gear.inertia_z}
-    expected = [springs.get(name, 0.0) for name in STATES]
-    np.testing.assert_allclose(turned, expected, atol=1e-9 * np.abs(e[:, rate]).max())
+    for rails, motion, expected in (
+        ("rail_offset", {"y": 1.0}, {"vy": -2 * stage.k_y / gear.mass}),
+        ("rail_rate", {"vy": 1.0, "psi": 1 / speed}, springs),
+    ):
+        known = e[:, KNOWN.index(rails)]
+        found = a @ [motion.get(name, 0.0) for name in STATES] + known
+        np.testing.assert_allclose(found, [expected.get(n, 0.0) for n in STATES], atol=1e-9 * np.abs(known).max())
