@@ -40,7 +40,7 @@ INSTALL = $(call GROUP,$(1)) | .venv/bin/uv pip install -q --python $(PY) --requ
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "%-12s%s\n", $$1, $$2}' Makefile | sort
-	@echo "figNN       one figure with what it needs, for example make fig06"
+	@echo "figNN       one figure with what it needs: fig06 is that of the paper, fig0601 the first other one of chapter 06"
 
 setup: $(VENV)  ## set up the environment in .venv
 

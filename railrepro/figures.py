@@ -75,6 +75,13 @@ def points(name: str, **options) -> dict:
     return dot | {"linestyle": "", "label": look.label} | options
 
 
+def figure_number(name: str) -> str:
+    """Number of a figure: "6" of "fig06_curve_entry", a figure of the paper; "6.1" of "fig0601_preview", the first
+    other one of chapter 06."""
+    digits = name.removeprefix("fig").split("_")[0]
+    return ".".join(str(int(digits[i : i + 2])) for i in range(0, len(digits), 2))
+
+
 def save_figure(figure: Figure, name: str, data: pd.DataFrame) -> None:
     """Write a figure to figures/NAME.png and its plotted data to figures/NAME.csv, and show it in a notebook. Several
     panels get letters. Columns of `data` have their unit in the name."""

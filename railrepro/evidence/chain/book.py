@@ -10,10 +10,11 @@ from pathlib import Path
 from railrepro import data, paths
 from railrepro.data import InputError, write
 from railrepro.evidence.chain.chain import Notebook, chain, figures
+from railrepro.figures import figure_number
 
 _DISPLAY = re.compile(r"^\$\$\n?(.*?)\n?\$\$$", re.DOTALL | re.MULTILINE)
 _CHAPTER = re.compile(r"`(\d\d_\w+)`")
-_SAVED = re.compile(r"save_figure\([^\n]*?[\"'](fig\d\d_\w+)[\"']")
+_SAVED = re.compile(r"save_figure\([^\n]*?[\"'](fig\d{2,4}_\w+)[\"']")
 
 
 def html() -> Path:
@@ -53,7 +54,7 @@ def chapter(notebook: Notebook) -> dict:
         cells.append(cell)
         for name in _SAVED.findall(text):
             data_file = f"{{download}}`data <../figures/{name}.csv>`"
-            caption = f"**Figure {int(name[3:5])}.** {captions[name]} ({data_file})"
+            caption = f"**Figure {figure_number(name)}.** {captions[name]} ({data_file})"
             cells.append({"cell_type": "markdown", "id": name, "metadata": {}, "source": caption})
     cells[0]["source"] = re.sub(r"^# (\[Re\] )?", f"# {notebook.name[:2]} ", cells[0]["source"])
     return content | {"cells": cells}

@@ -33,7 +33,7 @@ from railrepro.vehicle.parameters import load_vehicle
 Reads = dict[str, list[str]]
 """Path of a file that a notebook read -> names of the entries that it used; [`paths.ALL`] for all."""
 _PRODUCT = Annotated[str, data.matching(r"(data|figures)(/\w[\w.-]*)+", "a path below data/ or figures/")]
-_FIGURE = Annotated[str, data.matching(r"fig\d\d_\w+", "a name of the form figNN_name")]
+_FIGURE = Annotated[str, data.matching(r"fig(\d\d){1,2}_\w+", "a name of the form figNN_name")]
 EDITED = "an input was edited while it ran"
 
 
@@ -328,14 +328,18 @@ def refresh(notebook: Notebook) -> Ran:
 
 def figures(names: Sequence[str] = ()) -> int:
     """Command `figures`: run those notebooks among `names` that are stale, in parallel (up to four, one per core).
-    `names` are names of notebooks or figures, or their beginnings, as "fig06" (default all). InputError when nothing
-    begins with a name, or a name is blank. Returns 1 when a notebook failed, else 0."""
+    `names` are names of notebooks or figures, beginnings of the former or numbers of the latter, as "06" or "fig0601"
+    (default all). InputError for a name that nothing has. Returns 1 when a notebook failed, else 0."""
     notebooks = chain()
     wanted = set() if names else set(notebooks)
     for name in names:
-        chosen = {n.name for n in notebooks.values() if any(one.startswith(name) for one in (n.name, *n.figures))}
+        chosen = {
+            n.name
+            for n in notebooks.values()
+            if n.name.startswith(name) or any(name in (f, f.split("_")[0]) for f in n.figures)
+        }
         if not chosen or not name:
-            raise InputError(f"{name!r} begins the name of no notebook or figure of chain.toml, such as 06 or fig06")
+            raise InputError(f"{name!r} is no notebook and no figure of chain.toml, such as 06 or fig06")
         wanted |= chosen
     paths.BUILD.mkdir(exist_ok=True)
     with alone(paths.BUILD / "chain.lock"):

@@ -23,6 +23,7 @@ from railrepro.evidence.claims.nominal import METRICS, Nominal
 from railrepro.evidence.claims.setup import COLUMNS
 from railrepro.evidence.claims.statements import REPRODUCED, Finding, MissingEvidence
 from railrepro.evidence.report import claims, flips
+from railrepro.figures import figure_number
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.tuning import sets
 from railrepro.tuning.task import load_task
@@ -106,7 +107,12 @@ class Page:
         """Render a template in data/, which may use the chain of notebooks (`chapters`, `verify`), the captions of
         figures and the values `more`."""
         chain, captions = (data.read(paths.NOTEBOOKS / name) for name in ("chain.toml", "book/captions.toml"))
-        more |= {"chapters": chain["notebook"], "verify": chain["verify"], "captions": captions}
+        more |= {
+            "chapters": chain["notebook"],
+            "verify": chain["verify"],
+            "captions": captions,
+            "number": figure_number,
+        }
         return self._jinja.get_template(template).render(more)
 
     def readme(self, text: str) -> str:
