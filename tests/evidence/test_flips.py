@@ -25,7 +25,7 @@ def answered(**given):
 def driven(monkeypatch):
     """Set-ups and parts that the probe is asked for."""
     found = []
-    monkeypatch.setattr(probe, "probe", lambda world, parts: found.append((world, parts)) or [])
+    monkeypatch.setattr(probe, "probe", lambda world, parts: found.append((world, parts)) or {})
     return found
 
 
@@ -48,18 +48,18 @@ def test_each_question_sets_what_there_is():
     for question in flips.load().values():
         for target in set(question.sets) - {"column"}:
             setup({target: of_probe.get(target, 0.5)}).car()
-    with pytest.raises(InputError, match="which nothing has"):
+    with pytest.raises(InputError, match="is no choice of the probe"):
         setup({"pid:gain": 1.0})
 
 
 def test_which_verdicts_flip(monkeypatch, capsys, tmp_path):
     """NDI is driven to the front on T3 by hand; what was not driven keeps its verdict."""
     nominal = Nominal().evidence("paper").metrics
-    rows = [(*key, value) for key, value in dict(nominal).items() if key[0] == "curve_entry_T3"]
+    rows = {key: value for key, value in nominal.items() if key[0] == "curve_entry_T3"}
     monkeypatch.setattr(probe, "probe", lambda world, parts: rows)
     same = flips.flips(answered(sweep=[3.0, 150.0, 40.0])).set_index("id")
     assert (same["before"] == same["after"]).all() and {"C05", "C20", "C31"} <= set(same.index)
-    rows[:] = [(*row[:3], 1e-5) if row[1:3] == ("ndi", "rmse_y") else row for row in rows]
+    rows["curve_entry_T3", "ndi", "rmse_y"] = 1e-5
     found = flips.flips(answered(sweep=[3.0, 150.0, 40.0])).set_index("id")
     assert found.loc["C05", ["before", "after"]].tolist() == ["reproduced", "not reproduced"]
     assert found.loc["C18", "before"] == found.loc["C18", "after"] == "reproduced"

@@ -104,8 +104,8 @@ def weight_without_effect(e: Evidence, scenario: str, controller: str, metric: s
 
 def speed_without_effect(e: Evidence, scenario: str, controller: str, metric: str, value: float) -> float:
     """The sine at every speed gives what it gives at the lowest."""
-    lowest, *_ = e.sines().values()
-    return e.metrics.get((lowest, controller, metric), value) if scenario.startswith("sine_tracking") else value
+    slowest = statements.SINES[80]
+    return e.metrics.get((slowest, controller, metric), value) if scenario.startswith("sine_tracking") else value
 
 
 _STRAIGHT = ("mean_error_last_third", "gyroscopic_share")

@@ -112,8 +112,8 @@ def probed(task: tuple[str, str]) -> list[tuple]:
     """What the statements ask of the car in a part of the probe, on one of the plants."""
     part, plant = task
     with mock.patch.dict(os.environ, {store.FOLDER: "off"}), mock.patch.object(simulate, "run", PLANTS[plant]):
-        rows = probe.probe(setup({}), (part,))
-    return [(plant, *row) for row in rows]
+        found = probe.probe(setup({}), (part,))
+    return [(plant, *key, value) for key, value in found.items()]
 
 
 def verdicts(rows: list[tuple]) -> pd.DataFrame:

@@ -1,17 +1,14 @@
-r"""How small the lateral error with sensors can be: a linear-quadratic-Gaussian bound.
+r"""Lower bound of the lateral error with sensors: a linear-quadratic-Gaussian (LQG) controller.
 
-The creep model of a gear (`railrepro.own.gear_model`) with disturbances and biases as slow Gauss-Markov processes is
-a linear system under white noise:
-
-    x_(k+1) = A x_k + B (du_k - du_(k-1)) + w_k,    z_k = C x_k + v_k
-
-For it no causal law, linear or not, has a smaller  q E[y^2] + rho E[(du_k - du_(k-1))^2]  than the feedback of the
-filtered states with the gains of two Riccati equations. Filtered states and their errors are uncorrelated, so
+The creep model of a running gear (`railrepro.own.gear_model`), with disturbances and biases as slow Gauss-Markov
+processes, is a linear system under white noise (`System`). For it no causal law, linear or not, has a smaller
+q E[y^2] + rho E[(du_k - du_(k-1))^2]  than the feedback L of the states that a Kalman filter estimates. Estimates and
+their errors are uncorrelated, so
 
     E[y^2] = c (Sigma + P) c',    Sigma = (A - B L) Sigma (A - B L)' + K S K'
 
-with covariance P of the filter's error, its gain K and innovation covariance S, feedback L. Road and set point are
-known and cost nothing. rho trades error for torque: the bound is that at a stated activity of the torque above 5 Hz.
+with covariance P of the errors, gain K of the filter and innovation covariance S. Track and set point are known and
+cost nothing. rho trades error for torque: the bound belongs to a given activity of the torque above 5 Hz.
 
 Source: Anderson and Moore 1990, Optimal Control, ch. 8 (separation); Anderson and Moore 1979, Optimal Filtering, ch. 4.
 """
@@ -30,31 +27,28 @@ from railrepro.estimation.sensors import Loop
 from railrepro.own.gear_model import STATES, UNITS, UNKNOWN, lateral_model
 from railrepro.vehicle.parameters import Vehicle
 
-BIASES = ("y", "psi", "r")
-"""Readings with a bias each."""
+BIASES = ("y", "psi", "r")  # readings with a bias each
 MEMORY = 30.0
-"""Time constant of biases and disturbances, longer than any run: their decay gives no information (s)."""
+"""Time constant of biases and disturbances (s), longer than any run: their decay gives no information."""
 ACTIVITY = 115.0
-"""Torque above 5 Hz at which the bound is stated (N m, RMS): what the tuned controllers spend on dry rail."""
-_CUT, _ORDER = 5.0, 4
-"""High-pass of `railrepro.simulation.metrics.activity`: frequency (Hz) and order, applied twice."""
-_QUIET = 1e-9
-"""Share of its unit by which each state wanders in a period anyway, which keeps the equations regular."""
+"""Torque above 5 Hz (N m, RMS) of the tuned controllers on dry rail, for which the bound is stated."""
+_CUT, _ORDER = 5.0, 4  # high-pass of `railrepro.simulation.metrics.activity`: frequency (Hz) and order, applied twice
+_QUIET = 1e-9  # process noise of each state in a period, in its unit, which keeps the equations regular
 Y, TORQUE = STATES.index("y"), len(STATES) + len(UNKNOWN) + len(BIASES)
 """Indices of the displacement and of the newest torque command among the states of a `System`."""
 
 
 class System(NamedTuple):
-    """Linear system of a gear behind sensors: x_(k+1) = a x_k + b (du_k - du_(k-1)) + w_k, z_k = c x_k + v_k.
+    """Linear system of a running gear with sensors: x_(k+1) = a x_k + b (du_k - du_(k-1)) + w_k, z_k = c x_k + v_k.
 
-    Period 1 ms; states x in multiples of `units`; w and v are white noise.
+    The period is 1 ms, states x are in multiples of `units`, w and v are white noise.
 
     Attributes:
         a (ndarray, shape (n, n)): Transition matrix A.
         b (ndarray, shape (n,)): Input vector B of the change of differential torque in a period (per N m).
         c (ndarray, shape (3, n)): Output matrix C: readings of y, psi, yaw rate r in units of their noise (RMS).
-        q (ndarray, shape (n, n)): Covariance of w per period; that of v is the unit matrix.
-        units (ndarray, shape (n,)): SI value of one unit of each state; of a torque 100 N m.
+        q (ndarray, shape (n, n)): Covariance of w per period; the covariance of v is the unit matrix.
+        units (ndarray, shape (n,)): SI value of one unit of each state; 100 N m for a torque.
     """
 
     a: np.ndarray
@@ -65,10 +59,10 @@ class System(NamedTuple):
 
 
 def system(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float]) -> System:
-    """Build the linear system of a gear at a constant speed (m/s) behind the sensors `loop`.
+    """Build the linear system of a running gear at a constant speed (m/s) with the sensors `loop`.
 
     `walks` are the intensities of the random walks of lateral force (N/s^0.5) and yaw moment (N m/s^0.5). States: those
-    of `railrepro.own.gear_model`; force and moment; biases of y, psi, r; torque commands on their way, newest first.
+    of `railrepro.own.gear_model`; force and moment; biases of y, psi, r; delayed torque commands, newest first.
     """
     h, n = CONTROL_PERIOD, len(STATES)
     rates, du, _, unknown = lateral_model(vehicle, speed)
@@ -96,10 +90,10 @@ def system(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float
 
 
 def limit(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float], activity: float = ACTIVITY) -> float:
-    """Lower bound of the lateral error (m) of all causal laws with a given differential torque above 5 Hz.
+    """Compute the lower bound of the lateral error (m) of all causal laws with a given torque above 5 Hz.
 
     The error is the standard deviation of y from the set point at the measured track coordinate. `activity` is the RMS
-    of the torque above 5 Hz (N m). `loop` are the sensors, `speed` is in m/s, `walks` are disturbances as in `system`.
+    of the differential torque above 5 Hz (N m). `loop` are the sensors, `speed` is in m/s, `walks` are as in `system`.
     """
     of = system(vehicle, loop, speed, walks)
     log_weight = brentq(lambda log: np.log(at_weight(of, 10.0**log)[2] / activity), -10.0, 0.0, xtol=1e-3)
@@ -107,9 +101,10 @@ def limit(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float]
 
 
 def at_weight(of: System, weight: float) -> tuple[float, float, float]:
-    """Standard deviations under the optimal law (`feedback`) for a `weight` of the torque change (1/(N m)^2).
+    """Compute standard deviations under the optimal law (`feedback`) for a `weight` of the torque change (1/(N m)^2).
 
-    Returns a triple: y (m); part of y that no torque removes, the Kalman filter's error (m); torque above 5 Hz (N m).
+    Returns y (m), the part of y that no torque removes, which is the error of the Kalman filter (m), and the torque
+    above 5 Hz (N m).
     """
     p, m = np.zeros_like(of.a), TORQUE  # the torques are known
     p[:m, :m] = solve_discrete_are(of.a[:m, :m].T, of.c[:, :m].T, of.q[:m, :m], np.eye(len(of.c)))
@@ -124,9 +119,9 @@ def at_weight(of: System, weight: float) -> tuple[float, float, float]:
 
 
 def feedback(of: System, weight: float) -> np.ndarray:
-    """Optimal gain L (N m), shape (n,), of the law du_k - du_(k-1) = -L x for a system, x in multiples of its units.
+    """Compute the gain L (N m), shape (n,), of the optimal law du_k - du_(k-1) = -L x, x in `System.units`.
 
-    L minimises E[y^2] + weight E[(du_k - du_(k-1))^2] with y in `System.units`.
+    L minimises E[y^2] + weight E[(du_k - du_(k-1))^2] with y in its unit.
     """
     cost, unit = np.zeros_like(of.a), of.units[TORQUE]
     cost[Y, Y] = 1.0
@@ -136,16 +131,15 @@ def feedback(of: System, weight: float) -> np.ndarray:
 
 
 def with_place(error: float, slopes: np.ndarray, loop: Loop) -> float:
-    """Bound of the lateral error (m) from the set point y*(p) at the true track coordinate p.
+    """Add to a bound `error` (m) the bias of the measured track coordinate p, for the error from y* at the true p.
 
-    `error` is the bound (m) from y* at the measured p, whose bias adds an error: standard deviation of the bias of
-    `loop` times RMS of `slopes` dy*/dp (-), shape (n,). The result is the root of the sum of squares of both.
+    The bias of `loop` adds, as a root of squares, its standard deviation times the RMS of `slopes` dy*/dp, shape (n,).
     """
     return float(np.hypot(error, loop.position.bias / np.sqrt(3) * np.sqrt(np.mean(np.square(slopes)))))
 
 
 def _above(closed: np.ndarray, noise: np.ndarray, state: int) -> float:
-    """Standard deviation of a state above 5 Hz, from x_(k+1) = closed x_k + noise e_k with white e of unit variance."""
+    """Standard deviation of a state above 5 Hz for x_(k+1) = closed x_k + noise e_k with white e of unit variance."""
     h, n = CONTROL_PERIOD, len(closed)
     f = np.geomspace(_CUT / 4, 0.5 / h, 300)
     passed = 1 / (1 + (np.tan(np.pi * _CUT * h) / np.tan(np.minimum(np.pi * f * h, 1.57))) ** (2 * _ORDER))
