@@ -1,9 +1,8 @@
-"""Negative controls: evidence that must fail a rule. A rule that its negative control passes is no rule.
+"""Negative controls: changes of evidence that a rule must not pass.
 
-`CONTROLS` has functions from evidence to what it would be if the named thing were so; data/claims.toml names one per
-statement, and a test holds that it is not reproduced then.
-
-Serves the paper's section Multi-Body Simulation Results.
+`CONTROLS` has functions from evidence to the evidence in the named counterfactual. data/claims.toml names one or more
+per statement; a test requires that the statement is not reproduced then. Serves the paper's section Multi-Body
+Simulation Results.
 """
 
 from __future__ import annotations
@@ -15,15 +14,14 @@ import pandas as pd
 
 from railrepro.control.registry import PAPER_TRIO
 from railrepro.evidence.claims import statements
-from railrepro.evidence.claims.statements import LOSS, NDI, NO_LAW, NOTHING, T3, Evidence
+from railrepro.evidence.claims.statements import LOSS, NDI, NO_LAW, NOTHING, SINES, T3, Evidence
 
 Control = Callable[[Evidence], Evidence]
-_SETTINGS_OF_R = (statements.BETWEEN, statements.SOFTEST)
-_DRIVEN = (*PAPER_TRIO, statements.SOFT, *_SETTINGS_OF_R)
+_LARGER_R = (statements.BETWEEN, statements.SOFTEST)
+_DRIVEN = (*PAPER_TRIO, statements.SOFT, *_LARGER_R)
 _STANDS_STILL = {"delay": float("inf"), "ndi_later": 0.0, "ndi_alike": 0.0, "effort_du": 0.0}
 _STANDS_STILL |= {"set_point_gain": 0.0, "error_growth": 1.0}
-_IDEAL = (statements.CONES, statements.NO_CREEP)
-_SWEEP, _POLES, _DRY = "sweep of R", "sweep of poles", "sine_tracking 400"
+_SWEEP, _POLES, _DRY = "sweep of R", "sweep of poles", statements.FASTEST
 
 
 def metrics(change: Callable[[Evidence, str, str, str, float], float]) -> Control:
@@ -36,12 +34,12 @@ def table(name: str, change: Callable[[pd.DataFrame], pd.DataFrame]) -> Control:
     return lambda e: replace(e, tables=lambda which: change(e.table(which)) if which == name else e.table(which))
 
 
-def as_solver(which: str, other: str) -> Control:
-    """One solver takes the times of another."""
+def with_times_of(other: str) -> Control:
+    """The solver of LTV-MPC takes the times of another one."""
 
     def change(times: pd.DataFrame) -> pd.DataFrame:
-        rest = times[times["solver"] != which]
-        return pd.concat([rest, rest[rest["solver"] == other].assign(solver=which)])
+        rest = times[times["solver"] != "ltv_mpc"]
+        return pd.concat([rest, rest[rest["solver"] == other].assign(solver="ltv_mpc")])
 
     return table("solve_times", change)
 
@@ -51,6 +49,7 @@ def like_nmpc(controller: str, but: str = "") -> Control:
     return metrics(lambda e, s, c, m, v: e.metrics[s, "nmpc", m] if c == controller and m != but else v)
 
 
+@metrics
 def still(e: Evidence, scenario: str, controller: str, metric: str, value: float) -> float:
     """No controller leaves the centre line."""
     if controller not in _DRIVEN:
@@ -59,15 +58,13 @@ def still(e: Evidence, scenario: str, controller: str, metric: str, value: float
 
 
 def thrice(e: Evidence) -> Evidence:
-    """LTV-MPC, NDI and all other settings have the data of NMPC, the sweep of poles those of the sweep of R."""
-
-    def change(e: Evidence, scenario: str, controller: str, metric: str, value: float) -> float:
-        if metric == "ndi_later":
-            return 0.0
-        return e.metrics.get((scenario, "nmpc", metric), value) if controller in _DRIVEN else value
-
-    kept = {key: value for key, value in metrics(change)(e).metrics.items() if key[1] != _POLES}
-    return replace(e, metrics=kept | {(s, _POLES, m): v for (s, c, m), v in e.metrics.items() if c == _SWEEP})
+    """LTV-MPC, NDI and all larger R have the data of NMPC, the sweep of poles has those of the sweep of R."""
+    alike = {
+        key: e.metrics.get((key[0], "nmpc", key[2]), value) for key, value in e.metrics.items() if key[1] in _DRIVEN
+    }
+    poles = {(s, _POLES, m): v for (s, c, m), v in e.metrics.items() if c == _SWEEP}
+    at_once = {key: 0.0 for key in e.metrics if key[2] == "ndi_later"}
+    return replace(e, metrics={k: v for k, v in e.metrics.items() if k[1] != _POLES} | alike | at_once | poles)
 
 
 def set_point_ignored(e: Evidence) -> Evidence:
@@ -88,62 +85,62 @@ def no_slip_control(e: Evidence) -> Evidence:
     return table("adhesion_map", without)(ramped)
 
 
+@metrics
 def rail_without_effect(e: Evidence, scenario: str, controller: str, metric: str, value: float) -> float:
-    """Poor rail gives what dry rail gives, relative to y = 0, to whichever controller is judged."""
+    """The errors on poor rail are those on dry rail, relative to y = 0."""
     if scenario != LOSS or controller not in ("nmpc", NDI) or metric != "rmse_y":
         return value
     return e.metrics[LOSS, NOTHING, metric] / e.metrics[_DRY, NOTHING, metric] * e(_DRY, controller, metric)
 
 
+@metrics
 def weight_without_effect(e: Evidence, scenario: str, controller: str, metric: str, value: float) -> float:
-    """Every R gives what the first one gives."""
+    """Every R has the results of the first one."""
     if controller == _SWEEP:
         return e.metrics.get((scenario, controller, metric.partition(" ")[0] + " 1"), value)
-    return e.metrics.get((scenario, "nmpc", metric), value) if controller in _SETTINGS_OF_R else value
+    return e.metrics.get((scenario, "nmpc", metric), value) if controller in _LARGER_R else value
 
 
-def speed_without_effect(e: Evidence, scenario: str, controller: str, metric: str, value: float) -> float:
-    """The sine at every speed gives what it gives at the lowest."""
-    slowest = statements.SINES[80]
-    return e.metrics.get((slowest, controller, metric), value) if scenario.startswith("sine_tracking") else value
-
-
-_STRAIGHT = ("mean_error_last_third", "gyroscopic_share")
 CONTROLS: dict[str, Control] = {
-    "y = 0": metrics(still),
+    "y = 0": still,
     "one controller thrice": thrice,
     "set point ignored": set_point_ignored,
-    "rail without effect": metrics(rail_without_effect),
-    "R without effect": metrics(weight_without_effect),
-    "speed without effect": metrics(speed_without_effect),
-    # every gear keeps its heading while the track turns away
+    "rail without effect": rail_without_effect,
+    "R without effect": weight_without_effect,
+    "speed without effect": metrics(
+        lambda e, s, c, m, v: e.metrics.get((SINES[80], c, m), v) if s.startswith("sine_tracking") else v
+    ),
+    # running gears keep their heading while the track turns
     "straight on": metrics(lambda e, s, c, m, v: 1.0 if m == "path_error" else v),
-    # the MPC trail their set point as NDI does
+    # both MPC follow their set point as late as NDI
     "delay of NDI": metrics(lambda e, s, c, m, v: e.metrics[s, NDI, m] if m == "delay" else v),
     "no slip control": no_slip_control,
-    # T3 without curve and cant: neither drift nor gyroscopic torque
-    "straight track": metrics(lambda e, s, c, m, v: 0.0 if s == T3 and m in _STRAIGHT else v),
-    # T1 asks for what T3 asks for
+    # T3 without curve and cant: neither steady error nor gyroscopic torque
+    "straight track": metrics(
+        lambda e, s, c, m, v: 0.0 if s == T3 and m in (statements.DRIFT, "gyroscopic_share") else v
+    ),
+    # T1 needs the torque of T3
     "one track": metrics(lambda e, s, c, m, v: e.metrics.get((T3, c, m), v) if s == "curve_entry_T1" else v),
     "no shortfall": metrics(lambda e, s, c, m, v: 0.0 if m == "shortfall" else v),
     # cant for the full centrifugal acceleration
     "no unbalanced acceleration": table("table1", lambda t: t.assign(phi_deg=t["phi_deg"] + [0.0, 1.27, 2.53, 3.8])),
-    "one code twice": as_solver("ltv_mpc", "gauss_newton"),
-    "interpreted solver": as_solver("ltv_mpc", "ipopt"),
+    "one code twice": with_times_of("gauss_newton"),
+    "interpreted solver": with_times_of("ipopt"),
     # problems of one track take five times as long
     "a hard track": table(
-        "solve_times",
-        lambda t: t.assign(median_ms=t["median_ms"].mask(t["scenario"] == "curve_entry_T3", 5 * t["median_ms"])),
+        "solve_times", lambda t: t.assign(median_ms=t["median_ms"].mask(t["scenario"] == T3, 5 * t["median_ms"]))
     ),
     "cause without effect": like_nmpc(statements.AS_MODELLED),
     # profiles and creep triple the error
-    "cause decides": metrics(lambda e, s, c, m, v: e.metrics[s, "nmpc", m] / 3 if c in _IDEAL else v),
-    # the bound is a quarter of what it is, so that smaller steps are judged
+    "cause decides": metrics(
+        lambda e, s, c, m, v: e.metrics[s, "nmpc", m] / 3 if c in (statements.CONES, statements.NO_CREEP) else v
+    ),
+    # a quarter of the bound, so that smaller steps are judged
     "smaller steps": table("adhesion_law", lambda t: t.assign(p2_over_bound=4 * t["p2_over_bound"])),
     "step without effect": table("adhesion_law", lambda t: t.assign(rms_error=1.0)),
     "fixed share costs nothing": like_nmpc(statements.FIXED, but="share"),
     "base torque without effect": like_nmpc(statements.UNINFORMED),
-    # who does not know the future is as late as who does
+    # controllers without preview are as late as those with preview
     "future without effect": metrics(
         lambda e, s, c, m, v: (
             e.metrics[s, "nmpc", m] if c in (statements.RATES, statements.SHORT) and m == "delay" else v

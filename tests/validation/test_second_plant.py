@@ -17,7 +17,7 @@ from railrepro.vehicle.parameters import load_vehicle
 
 @pytest.mark.parametrize(("flat", "kalker"), [(1.0, (4.12, 3.67, 1.47, 1.19)), (0.5, (5.20, 4.98, 2.63, 0.823))])
 def test_sticking_patches_have_kalkers_coefficients(flat, kalker, monkeypatch):
-    """Ellipses with b/a of 1 and .5, Poisson's ratio .25 (Kalker 1990, Table E3); the moment depends most on squares."""
+    """Ellipses with b/a of 1 and .5, Poisson's ratio .25 (Kalker 1990, Table E3); squares affect the moment most."""
     monkeypatch.setattr(rolling_contact, "SQUARE", 0.05)
     x, y = (each.ravel() for each in np.meshgrid(*2 * [np.arange(-1.2, 1.2, 0.05) + 0.025]))
     inside = x**2 + (y / flat) ** 2 < 1
