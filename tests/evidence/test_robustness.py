@@ -20,7 +20,7 @@ def test_samples_cover_the_ranges_and_are_reproducible():
     radii = [dict(s.values)["wheel.radius"] for s in samples]
     assert 0.43 <= min(radii) < 0.45 and 0.48 < max(radii) <= 0.5
     worlds = [s.world() for s in samples]
-    assert {w.profile for w in worlds} == {"cone", "s1002"}
+    assert {w.plant["contact.profile"] for w in worlds} == {"cone", "s1002"}
     assert {w.ltv for w in worlds} == {"ltv_mpc", "ltv_mpc_printed"}
 
 
@@ -30,7 +30,7 @@ def test_creep_slopes_of_both_rails_reach_the_car_and_other_parameters_stay_nomi
         for rail, key in product(("dry", "poor"), ("k_a", "k_s")):
             assert getattr(sets[rail], key) == vehicle[f"adhesion.{rail}.{key}"]
     world = robustness.Sample(0, "paper", (("r_loss", 30.0), ("adhesion.poor.k_s over k_a", 0.5))).world()
-    assert (world.r_loss, world.r_brake, world.profile, world.ltv) == (30.0, 1.0, "", "ltv_mpc_printed")
+    assert (world.r_loss, world.r_brake, world.plant, world.ltv) == (30.0, 1.0, {}, "ltv_mpc_printed")
     assert world.car().adhesion["poor"].k_s == 0.5 * world.car().adhesion["poor"].k_a
 
 
@@ -79,7 +79,7 @@ def test_the_deciding_parameter_is_next_to_the_share_of_its_statement():
     """NDI is behind on cones, in half of the samples."""
     drawn, rows = robustness.draw(64, ("paper",)), []
     for one in drawn:
-        cone = one.world().profile == "cone"
+        cone = one.world().plant["contact.profile"] == "cone"
         rows.append(dict(one.values) | sample("paper", ("s1002", "cone")[cone], 2e-3 if cone else 5e-4))
     found = robustness.decided(pd.DataFrame(rows)).set_index("id").loc["C05"]
     assert found["decided_by"] == "profile (cone, S1002)" and (found["share"], found["cone"]) == (0.5, 1.0)

@@ -28,7 +28,6 @@ SIZES, DRAWS, SEED = (0.01, 0.03), 10, 2026
 """Largest relative perturbations, number of draws of each, seed of the first one."""
 R_FACTORS = (0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0)
 """Factors on the weight R of NMPC (-), for which statements conflict."""
-_LARGEST = {"adhesion.poor.k_a": 1.0, "adhesion.poor.k_s": 1.0}
 
 
 @data.table
@@ -45,9 +44,9 @@ class Choice:
     value: Any
     unit: str
     range: Annotated[list[data.Plain], Field(min_length=2, max_length=2)] | Literal["free"]
-    source: str
+    source: Annotated[str, data.NOT_EMPTY]
     statements: tuple[str, ...]
-    why: str
+    why: Annotated[str, data.NOT_EMPTY]
 
     def __post_init__(self) -> None:
         if self.range == "free":
@@ -112,7 +111,8 @@ def perturbed(choices: Mapping[str, Choice], size: float, draw: int) -> dict[str
     rng, values = np.random.default_rng([SEED, draw]), _values(choices)
     for name, choice in choices.items():
         if data.is_number(choice.value) and choice.value != choice.nominal:
-            values[name] = min(choice.value * (1 + size * rng.uniform(-1, 1)), _LARGEST.get(name, np.inf))
+            largest = 1.0 if name.startswith("adhesion.poor.k_") else np.inf
+            values[name] = min(choice.value * (1 + size * rng.uniform(-1, 1)), largest)
     return values
 
 

@@ -60,12 +60,9 @@ law has climbed to its set point by 160 m."""
 SUDDEN_KMH, SUDDEN_KN = 280.0, 17.0  # speed, and force per running gear in traction and braking
 NO_SLIP_CONTROL = AdhesionSettings(active=False)
 
-_METRES = (
-    "rmse_y largest_error delay mean_error_last_third shortest_wave shortfall ndi_later stopping_distance rail_rmse_y"
-)
-UNITS = dict.fromkeys(_METRES.split(), "m") | {"effort_du": "N m"}
 _FOLLOWING = ("rmse_y", "largest_error", "mean_error_last_third", "effort_du")
-_RIDING = ("rail_rmse_y", "sum_y_over_limit", "n_mv_floor_front")
+_METRES = (*_FOLLOWING[:3], "delay", "shortest_wave", "shortfall", "ndi_later", "stopping_distance", "rail_rmse_y")
+UNITS = dict.fromkeys(_METRES, "m") | {"effort_du": "N m"}
 Measured = Iterator[tuple[str, str, dict[str, float]]]
 """What a part of a probe yields: scenario, controller, value by metric."""
 
@@ -154,7 +151,7 @@ def slipping(run: simulate.Run, experiment: Experiment) -> store.Entry:
 def riding(run: simulate.Run, experiment: Experiment) -> store.Entry:
     """Measure a run on irregular rails: rail_rmse_y, RMS error from these rails (m); sum_y_over_limit, track shifting
     force over its limit (-); n_mv_floor_front, comfort index above the front running gear (-); failed."""
-    return _unless_failed(run, experiment, _RIDING), None
+    return _unless_failed(run, experiment, ("rail_rmse_y", "sum_y_over_limit", "n_mv_floor_front")), None
 
 
 def braked(run: simulate.Run, experiment: Experiment) -> store.Entry:
@@ -206,10 +203,11 @@ def _curve(world: ProbeSetup) -> Measured:
         if {name, NDI} <= set(series):
             yield T3, name, torque_shift(series[name], series[NDI])
     short = world.parameters["nmpc"] | {"horizon_s": SHORTEST}
-    for label, run in {
+    unforeseen = {
         statements.RATES: world.experiment(scenario, NDI, changes={"rates": True}, alignment=stretched),
         statements.SHORT: world.experiment(scenario, "nmpc", short, alignment=stretched),
-    }.items():
+    }
+    for label, run in unforeseen.items():
         values, _ = run.measured(entering)
         yield T3, label, {key: value for key, value in values.items() if key in ("rmse_y", "delay", "failed")}
 
@@ -218,22 +216,19 @@ def _lags(world: ProbeSetup) -> Measured:
     """Both MPC in the curve entry and on the fastest sine, with lags of the drive that they do not know."""
     sine = load_scenario("sine_tracking").but(speed_kmh=400.0, end_m=300.0)
     for label, scenario, alignment in ((T3, world.scenario(T3), world.stretched()), (statements.FASTEST, sine, None)):
-        for lag in statements.LAGS_MS:
-            for name in statements.MPC:
-                run = world.experiment(scenario, name, plant={"drive.lag": 1e-3 * lag}, alignment=alignment)
-                yield f"lag {lag:g} ms, {label}", name, run.measured(following)[0]
+        for lag, name in product(statements.LAGS_MS, statements.MPC):
+            run = world.experiment(scenario, name, plant={"drive.lag": 1e-3 * lag}, alignment=alignment)
+            yield f"lag {lag:g} ms, {label}", name, run.measured(following)[0]
 
 
 def _loss(world: ProbeSetup) -> Measured:
     """Fig. 8: NMPC as tuned and with R x 10, each over `PERTURBED` and once without slip control; NDI."""
     scenario, car = load_scenario(LOSS).but(end_m=700.0), world.car()
     yield LOSS, NOTHING, nothing(scenario) | {"excessive_slip": excessive_slip(scenario, car)}
-    tuned = {"nmpc": with_r_times(world.parameters["nmpc"], world.r_loss)}
-    tuned[SOFT] = with_r_times(tuned["nmpc"], EMPHASIS)
-    cases = {
-        label: [world.experiment(scenario, "nmpc", with_r_times(nmpc, factor)) for factor in PERTURBED]
-        for label, nmpc in tuned.items()
-    }
+    nmpc, cases = with_r_times(world.parameters["nmpc"], world.r_loss), {}
+    tuned = {"nmpc": nmpc, SOFT: with_r_times(nmpc, EMPHASIS)}
+    for label, nmpc in tuned.items():
+        cases[label] = [world.experiment(scenario, "nmpc", with_r_times(nmpc, factor)) for factor in PERTURBED]
     cases[NDI] = [world.experiment(scenario, NDI)]
     for label, nmpc in tuned.items():
         cases[statements.NO_LAW[label]] = [world.experiment(scenario, "nmpc", nmpc, adhesion=NO_SLIP_CONTROL)]

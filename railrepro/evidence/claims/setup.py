@@ -43,8 +43,8 @@ class ProbeSetup(World):
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if self.ltv not in LTV:
-            raise InputError(f"ltv is {self.ltv!r}, one of {LTV} is needed")
+        if self.ltv not in (allowed := (MPC[1], "ltv_mpc")):
+            raise InputError(f"ltv is {self.ltv!r}, one of {allowed} is needed")
 
     def checked(self) -> ProbeSetup:
         """Return this setup; InputError if car, controllers or scenarios refuse one of its values."""
@@ -52,11 +52,6 @@ class ProbeSetup(World):
         for name, parameters in self.parameters.items():
             guidance(name, parameters)
         return self
-
-    @property
-    def profile(self) -> str:
-        """Wheel profile of the simulated car; "" for the profile of data/vehicle.toml."""
-        return self.plant.get("contact.profile", "")
 
     def driver(self, controller: str) -> str:
         """Return the key of `registry.CONTROLLERS` that drives under the name `controller`: for LTV-MPC it is `ltv`."""
@@ -82,8 +77,6 @@ SWARM = "swarm"
 COLUMNS = (PAPER, SWARM, LOOP)
 """Columns of verdicts: the settings of comparison, and "swarm": the setting `paper` in which NDI has the poles that the
 swarm found in place of the poles by the rule."""
-LTV = (MPC[1], "ltv_mpc")
-"""Controllers that may stand for LTV-MPC."""
 LTV_R, POLE, PROFILE, SWEEP = "ltv_mpc_printed.r", "ndi.pole", "profile", "brake_sweep"
 _CHOICES = {one.name for one in fields(ProbeSetup)} - {one.name for one in fields(World)}
 """Fields of `ProbeSetup` that may be keys of the argument `values` of `setup`."""
@@ -113,20 +106,19 @@ def setup(values: Mapping[str, Any], column: str = PAPER, *, rank: int = 0, seed
     require("column", column, str)
     if column not in COLUMNS:
         raise InputError(f"column {column!r} is not known; there are {list(COLUMNS)}")
-    parameters = {name: _tuned(name, column, rank) for name in PAPER_TRIO}
-    if LTV_R in values:
-        require(LTV_R, values[LTV_R], above(0.0, 1e6))
-        parameters[MPC[1]] = with_r_times(parameters["nmpc"], values[LTV_R])
-    if POLE in values:
-        parameters[NDI] = triple_pole(values[POLE])
-    require(SWEEP, values.get(SWEEP, {}), dict)
-    choices: dict[str, Any] = {SWEEP: dict(values.get(SWEEP, {}))}
+    parameters, rest = {name: _tuned(name, column, rank) for name in PAPER_TRIO}, dict(values)
+    if LTV_R in rest:
+        require(LTV_R, rest[LTV_R], above(0.0, 1e6))
+        parameters[MPC[1]] = with_r_times(parameters["nmpc"], rest.pop(LTV_R))
+    if POLE in rest:
+        parameters[NDI] = triple_pole(rest.pop(POLE))
+    profile, sweep = rest.pop(PROFILE, ""), rest.pop(SWEEP, {})
+    require(SWEEP, sweep, dict)
+    choices: dict[str, Any] = {SWEEP: dict(sweep)}
     vehicle: dict[str, Any] = {}
     parts = parameters | choices
-    for name, value in values.items():
+    for name, value in rest.items():
         part, colon, key = name.partition(":")
-        if name in (LTV_R, POLE, PROFILE, SWEEP):
-            continue  # set above, before single parameters and entries of these
         if name in _CHOICES:
             choices[name] = value
         elif colon and part in parts:
@@ -135,7 +127,7 @@ def setup(values: Mapping[str, Any], column: str = PAPER, *, rank: int = 0, seed
             vehicle[name] = value
         else:
             raise InputError(f"{name!r} is no choice of the probe and no parameter of a controller or of the vehicle")
-    plant = {"contact.profile": values[PROFILE]} if values.get(PROFILE) else {}
+    plant = {"contact.profile": profile} if profile else {}
     sensors = {"seed": seed} if seed is not None and column == LOOP else {}
     return ProbeSetup(parameters, setting_of(column), vehicle, plant, sensors, **choices)
 

@@ -269,10 +269,7 @@ def _robust(e: Evidence) -> float:
 
 
 def _drift_from_model(e: Evidence) -> Finding:
-    """Steady error on a car as modelled over that on the real one; weaker with cones or rolling alone.
-
-    NaN if the steady error on the real car is negligible.
-    """
+    """Steady error on a car as modelled over that on the real one (NaN if negligible); weaker with one cause alone."""
     drift = {name: abs(e(T3, name, DRIFT)) for name in ("nmpc", AS_MODELLED, CONES, NO_CREEP)}
     if not drift["nmpc"] > 0.1 * e(T3, NOTHING, "largest_error"):
         return Finding(float("nan"))
@@ -286,8 +283,8 @@ def _gyroscope(e: Evidence) -> float:
     return max(shares, key=lambda share: abs(share - 1) if np.isfinite(share) else np.inf)
 
 
-def usual_times(e: Evidence, solver: str, column: str) -> pd.Series:
-    """Return a column of table solve_times, as "median_ms", for a solver: Series by scenario, without active bounds."""
+def usual_times(e: Evidence, solver: str, column: str = "median_ms") -> pd.Series:
+    """Return a column of table solve_times for a solver: Series by scenario, without those with active bounds."""
     times = e.table("solve_times").query("solver == @solver")
     return times[~times["scenario"].str.contains("bounds")].set_index("scenario")[column]
 
@@ -370,10 +367,7 @@ def _stable_on_poor_rail(e: Evidence, name: str) -> float:
 
 
 def _poor_is_harder(e: Evidence) -> Finding:
-    """Smallest ratio of errors on poor and dry rail at 400 km/h, each over that of y = 0, of NMPC and NDI.
-
-    A controller that touches a flange does not count; inf if both do.
-    """
+    """Smallest ratio of errors (over those of y = 0) on poor and dry rail of controllers without flange contact."""
     free = [name for name in ("nmpc", NDI) if e(LOSS, name, "flange") == 0]
     ratios = [e.ratio(LOSS, name, NOTHING) / e.ratio(FASTEST, name, NOTHING) for name in free]
     return Finding(min(ratios, default=float("inf")), tie=max(e.tie(FASTEST, free), e.tie(LOSS, free)))
@@ -385,7 +379,7 @@ def _front(e: Evidence, kind: str) -> list[tuple[float, float]]:
         float(metric.partition(" ")[2]) for s, n, metric in e.metrics if (s, n) == (BRAKE, kind) and "rmse_y " in metric
     )
     if len(factors) < 2:
-        raise MissingEvidence(f"{BRAKE}, sweep of {kind}")
+        raise MissingEvidence(f"{BRAKE}, {kind}")
     return [tuple(e(BRAKE, kind, f"{name} {f:g}") for name in ("stopping_distance", "rmse_y")) for f in factors]
 
 
@@ -433,32 +427,26 @@ def _acceptable(e: Evidence, without: str) -> Finding:
 
 def _similar_times(e: Evidence) -> float:
     """Longest over shortest median solve time among the tracks, the larger ratio of NMPC and LTV-MPC."""
-    ratios = []
-    for solver in ("gauss_newton", "ltv_mpc"):
-        times = usual_times(e, solver, "median_ms")
-        tracks = times[times.index.str.startswith(("curve", "sine"))]
-        ratios.append(tracks.max() / tracks.min())
-    return max(ratios)
+    tracks = [usual_times(e, solver).filter(regex="^(curve|sine)") for solver in ("gauss_newton", "ltv_mpc")]
+    return max(times.max() / times.min() for times in tracks)
 
 
 VALUES: dict[str, Callable[[Evidence], Finding | float]] = {
     "C01": _table_one,
-    # effort in the middle of the track, which the curve makes
+    # effort on the centre line, which the curve causes
     "C03": lambda e: e(CURVES[0], CENTRED, "effort_du") / max(e(curve, CENTRED, "effort_du") for curve in CURVES[1:]),
     "C04": _all_follow,
     "C05": lambda e: _worst([e.ratio(T3, name, NDI) for name in MPC], e.tie(T3, PAPER_TRIO)),
     "C06": lambda e: _worst([e.ratio(T3, "nmpc", other) for other in PAPER_TRIO[1:]], e.tie(T3, PAPER_TRIO)),
     "C07": lambda e: Finding(e(T3, MPC[1], "rmse_y") / e(T3, "nmpc", "rmse_y"), tie=e.tie(T3, MPC)),
-    # delay as a share of the shortest wavelength
+    # delay over the shortest wavelength
     "C08": lambda e: _worst([abs(e(T3, name, "delay")) / e(T3, NOTHING, "shortest_wave") for name in MPC]),
     "C09": lambda e: _least([_same_torque_later(e, name) for name in MPC]),
     "C10": _gyroscope,
     "C11": lambda e: _least([abs(e(T3, name, DRIFT)) / e(T3, NOTHING, "largest_error") for name in MPC]),
     "C12": lambda e: _least([e(T3, name, "shortfall") / e(T3, NOTHING, "largest_error") for name in MPC]),
     "C13": _drift_from_model,
-    "C14": lambda e: (
-        usual_times(e, "gauss_newton", "median_ms").median() / usual_times(e, "ltv_mpc", "median_ms").median()
-    ),
+    "C14": lambda e: usual_times(e, "gauss_newton").median() / usual_times(e, "ltv_mpc").median(),
     "C15": _feasible,
     "C16": lambda e: _ranked(e, CURVES, *pairwise(PAPER_TRIO)),
     "C17": lambda e: _ranked(e, SINES.values(), *pairwise(PAPER_TRIO)),
@@ -478,15 +466,13 @@ VALUES: dict[str, Callable[[Evidence], Finding | float]] = {
     "C46": _more_smoothly,
     "C31": lambda e: _against_ndi(e, "rmse_y"),
     "C32": lambda e: _against_ndi(e, "stopping_distance"),
-    # share of the distance saved against the smallest fixed share that guides as accurately; nan where there is none
+    # fraction of the distance saved against the smallest fixed share that guides as well; NaN if there is none
     "C34": lambda e: 1 - e.ratio(BRAKE, "nmpc", FIXED, "stopping_distance"),
     "C35": lambda e: _acceptable(e, CONES),
     "C36": lambda e: _acceptable(e, NO_CREEP),
     "C37": lambda e: Finding(e.ratio(BRAKE, UNINFORMED, "nmpc"), tie=e(BRAKE, "nmpc", "rmse_y_spread")),
     "C39": lambda e: e.ratio(RAILS, PREVIEW, "nmpc", "rail_rmse_y"),
-    "C41": lambda e: _worst(
-        [e.ratio(RAILS, PREVIEW, "nmpc", metric) for metric in ("sum_y_over_limit", "n_mv_floor_front")]
-    ),
+    "C41": lambda e: _worst([e.ratio(RAILS, PREVIEW, "nmpc", m) for m in ("sum_y_over_limit", "n_mv_floor_front")]),
     "C42": _less_delay,
     "C44": _similar_times,
     "C51": _because_of_preview,
@@ -497,4 +483,4 @@ TABLES = dict.fromkeys(VALUES, "nominal_metrics") | {
     **{"C01": "table1", "C26": "adhesion_map", "C27": "adhesion_law"},
     **dict.fromkeys(("C14", "C15", "C44"), "solve_times"),
 }
-"""Statement id -> name of the table of data/results that its predicate reads; none reads two."""
+"""Statement id -> name of the only table of data/results that its predicate reads."""

@@ -17,7 +17,6 @@ from railrepro.tuning.cost import driven
 from railrepro.tuning.margin import peaks
 
 LONGEST_MS = 15  # longest delay that is tried
-_KMH = (100.0, 200.0, 300.0, 400.0)
 
 
 def delay_margin(setting: str, controller: str) -> float:
@@ -43,7 +42,7 @@ def main() -> None:
     """Write data/results/margins.csv (`delay_margin`) and sensitivity.csv (`peaks`) of `SHOWN`, on `paper` also of
     `BY_SWARM`."""
     pairs = [*product([PAPER], (*SHOWN, *BY_SWARM)), *product([LOOP], SHOWN)]
-    loops = [(*pair, speed) for pair in pairs for speed in _KMH]
+    loops = [(*pair, speed) for pair in pairs for speed in (100.0, 200.0, 300.0, 400.0)]
 
     def sensitivity(case: tuple[str, str, float]) -> dict:
         setting, controller, speed = case

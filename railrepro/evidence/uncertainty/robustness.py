@@ -97,7 +97,8 @@ def evaluate(sample: Sample) -> dict:
     world = sample.world(JUDGING)
     world = replace(world, parameters={name: _retuned(sample, name) for name in PAPER_TRIO})
     metrics = probe(world, (*PARTS, *ONCE) if sample.number < LONG[sample.setting] else PARTS)
-    labels = dict(zip(LABELS, (sample.number, sample.setting, world.profile, world.ltv), strict=True))
+    profile = world.plant.get("contact.profile", "")
+    labels = dict(zip(LABELS, (sample.number, sample.setting, profile, world.ltv), strict=True))
     return labels | dict(sample.values) | {"/".join(key): value for key, value in metrics.items()}
 
 
