@@ -94,7 +94,7 @@ def nothing(scenario: Scenario) -> dict[str, float]:
 
 
 def _unless_failed(run: simulate.Run, experiment: Experiment, names: Iterable[str]) -> dict[str, float]:
-    """Metrics of `Experiment.values` by name, none of a failed run, and `failed`."""
+    """Take metrics of `Experiment.values` by name, none of a failed run, and `failed`."""
     row = experiment.values(run)
     return {name: row[name] for name in names if not run.failed} | {"failed": float(run.failed)}
 
@@ -162,14 +162,14 @@ def braked(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def _follow(world: ProbeSetup, scenario: Scenario, label: str) -> Measured:
-    """A scenario under the paper's three controllers."""
+    """Drive a scenario under the paper's three controllers."""
     yield label, NOTHING, nothing(scenario)
     for name in PAPER_TRIO:
         yield label, name, world.experiment(scenario, name).measured(following)[0]
 
 
 def _curves(world: ProbeSetup) -> Measured:
-    """Curve entries on the other tracks, and on all four in the middle of the track."""
+    """Drive T1, T2 and T4 under the three controllers, and all four curves under NMPC with y* = 0."""
     for name, length in {"curve_entry_T1": 80.0, "curve_entry_T2": 400.0, T3: 600.0, "curve_entry_T4": 700.0}.items():
         scenario = load_scenario(name).but(end_m=length)
         if name != T3:
@@ -179,12 +179,13 @@ def _curves(world: ProbeSetup) -> Measured:
 
 
 def _sine(world: ProbeSetup) -> Measured:
+    """Drive Fig. 7 at five speeds."""
     for speed, label in statements.SINES.items():
         yield from _follow(world, load_scenario("sine_tracking").but(speed_kmh=float(speed), end_m=300.0), label)
 
 
 def _curve(world: ProbeSetup) -> Measured:
-    """Fig. 6, also with hardly any preview; lag of the torque of NDI, balanced fraction of the gyroscopic moment."""
+    """Drive Fig. 6, also with hardly any preview; add lag of the torque and balanced gyroscopic moment."""
     scenario, stretched = world.scenario(T3), world.stretched()
     track = Track("T3", build_table(stretched)) if stretched else load_track(scenario.track)
     vehicle, v, cant_rate = load_vehicle(**world.vehicle), scenario.speed, track.interpolate(200.0)[3, 0]
@@ -213,7 +214,7 @@ def _curve(world: ProbeSetup) -> Measured:
 
 
 def _lags(world: ProbeSetup) -> Measured:
-    """Both MPC in the curve entry and on the fastest sine, with lags of the drive that they do not know."""
+    """Drive the curve entry and the fastest sine under both MPC with lags of the drive that they do not know."""
     sine = load_scenario("sine_tracking").but(speed_kmh=400.0, end_m=300.0)
     for label, scenario, alignment in ((T3, world.scenario(T3), world.stretched()), (statements.FASTEST, sine, None)):
         for lag, name in product(statements.LAGS_MS, statements.MPC):
@@ -222,7 +223,7 @@ def _lags(world: ProbeSetup) -> Measured:
 
 
 def _loss(world: ProbeSetup) -> Measured:
-    """Fig. 8: NMPC as tuned and with R x 10, each over `PERTURBED` and once without slip control; NDI."""
+    """Drive Fig. 8: NMPC as tuned and with R x 10, over `PERTURBED` and once without slip control; NDI."""
     scenario, car = load_scenario(LOSS).but(end_m=700.0), world.car()
     yield LOSS, NOTHING, nothing(scenario) | {"excessive_slip": excessive_slip(scenario, car)}
     nmpc, cases = with_r_times(world.parameters["nmpc"], world.r_loss), {}
@@ -245,7 +246,7 @@ def _loss(world: ProbeSetup) -> Measured:
 
 
 def _causes(world: ProbeSetup) -> Measured:
-    """NMPC in the curve and on sines: on cones, nearly without creep, in the curve also with both."""
+    """Drive curve and sines under NMPC: on cones, nearly without creep, in the curve also with both."""
     sine, curve = load_scenario("sine_tracking"), load_scenario(T3)
     driven = curve, curve.but(track="T5"), sine.but(speed_kmh=160.0), sine
     # in a stiff contact wheels nearly roll
@@ -258,7 +259,7 @@ def _causes(world: ProbeSetup) -> Measured:
 
 
 def _sudden(world: ProbeSetup) -> Measured:
-    """NMPC as tuned over a patch of very poor rail, with and without slip control."""
+    """Drive NMPC as tuned over a patch of very poor rail, with and without slip control."""
     begin, end = PATCH
     points = ((0.0, 0.0), (begin - 0.5, 0.0), (begin + 0.5, 1.0), (end - 0.5, 1.0), (end + 0.5, 0.0))
     base = load_scenario(LOSS).but(speed_kmh=SUDDEN_KMH, end_m=end + 300, poor="very_poor", poor_share=())
@@ -271,7 +272,7 @@ def _sudden(world: ProbeSetup) -> Measured:
 
 
 def _rails(world: ProbeSetup) -> Measured:
-    """NMPC on an irregular straight with and without exact preview, means over realisations."""
+    """Drive an irregular straight under NMPC with and without exact preview; average over realisations."""
     end = 1000.0
     scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=300.0, end_m=end)
     defects = [
@@ -286,14 +287,14 @@ def _rails(world: ProbeSetup) -> Measured:
 
 
 def _mean(runs: list[dict[str, float]]) -> dict[str, float]:
-    """Mean over runs of each metric that all of them have; failed if one failed."""
+    """Average each metric that all runs have; failed if one failed."""
     common = set.intersection(*map(set, runs))
     mean = {key: float(np.mean([run[key] for run in runs])) for key in runs[0] if key in common}
     return mean | {"failed": max(run["failed"] for run in runs)}
 
 
 def _brake(world: ProbeSetup) -> Measured:
-    """Fig. 9: sweeps of R and of the poles of NDI, both R with one between them, neighbours of NMPC and NDI."""
+    """Drive Fig. 9: sweeps of R and of the poles of NDI, both R with one between them, neighbours of both."""
     yield BRAKE, NOTHING, nothing(world.scenario(BRAKE))
     for factor in R_FACTORS:
         yield BRAKE, "sweep of R", {f"{name} {factor:g}": value for name, value in _braked(world, factor).items()}
@@ -314,24 +315,24 @@ def _stopped(world: ProbeSetup, name: str, parameters: dict, **more) -> dict[str
 
 
 def _braked(world: ProbeSetup, factor: float = 1.0, **more) -> dict[str, float]:
-    """Error and distance of NMPC in Fig. 9 with R times a factor."""
+    """Drive Fig. 9 under NMPC with R times a factor: error and stopping distance."""
     return _stopped(world, "nmpc", with_r_times(with_r_times(world.parameters["nmpc"], world.r_brake), factor), **more)
 
 
 def _scatter(runs: list[dict[str, float]]) -> dict[str, float]:
-    """ln(largest / smallest value) of each metric; inf if a run failed."""
+    """Compute ln(largest / smallest value) of each metric; inf if a run failed."""
     values = pd.DataFrame(runs)
     return np.log(values.max() / values.min()).fillna(np.inf).add_suffix("_spread").to_dict()
 
 
 def _share(world: ProbeSetup) -> Measured:
-    """Fig. 9 with a fixed allocation of the torque, and with an NMPC that does not know the base torque."""
+    """Drive Fig. 9 with a fixed allocation of the torque, and under an NMPC that does not know the base torque."""
     yield BRAKE, statements.FIXED, _allocated(world)
     yield BRAKE, statements.UNINFORMED, _braked(world, changes={"informed": False})
 
 
 def _allocated(world: ProbeSetup) -> dict[str, float]:
-    """Run with the least fixed share of torque with which NMPC guides as well as with a variable one; inf if none."""
+    """Find the least fixed share of torque that guides as well as a variable one: its run; inf if there is none."""
     enough = statements.GUIDES_AS_WELL * _braked(world)["rmse_y"]
     tried = ((low, high, _braked(world, fixed_share=high)) for low, high in pairwise(SHARES))
     low, high, result = next((step for step in tried if step[2]["rmse_y"] <= enough), (0.0, np.nan, {}))

@@ -210,12 +210,12 @@ def findings(evidence: Evidence) -> dict[str, Finding]:
 
 
 def _worst(values: list[float], tie: float = 0.0) -> Finding:
-    """Finding whose value is the largest of `values`; weaker is the smallest."""
+    """Make a finding of the largest of `values`; weaker is the smallest."""
     return Finding(max(values), min(values), tie)
 
 
 def _least(values: list[float]) -> Finding:
-    """Finding whose value is the smallest of `values`, NaN if one is NaN; weaker is the largest."""
+    """Make a finding of the smallest of `values`, NaN if one is NaN; weaker is the largest."""
     return Finding(float(np.min(values)), float(np.fmax.reduce(values)))
 
 
@@ -224,7 +224,7 @@ def _fraction(conditions: Iterable[bool]) -> float:
 
 
 def _table_one(e: Evidence) -> float:
-    """Largest deviation from the heights of Table I (m) with the track width that fits best."""
+    """Compute the largest deviation from the heights of Table I (m) with the track width that fits best."""
     table = e.table("table1")
     sine = np.sin(np.radians(table["phi_deg"]))
     widths = np.linspace(1.4, 1.6, 2001)
@@ -232,13 +232,13 @@ def _table_one(e: Evidence) -> float:
 
 
 def _all_follow(e: Evidence) -> float:
-    """Worst error over that of y = 0, or yaw against the track over the heading of the track if that is larger."""
+    """Compute the worst error over that of y = 0, or the worst `path_error` of the probe if that is larger."""
     point = max(e(T3, name, "rmse_y") for name in PAPER_TRIO) / e(T3, NOTHING, "rmse_y")
     return max(point, *(e(T3, name, "path_error") for name in PAPER_TRIO))
 
 
 def _same_torque_later(e: Evidence, name: str) -> float:
-    """Lag of the torque of NDI behind that of a controller over the shortest wave; NaN if their shapes differ."""
+    """Divide the lag of the torque of NDI behind a controller by the shortest wave; NaN if their shapes differ."""
     if not np.isfinite([e(T3, each, "rmse_y") for each in (name, NDI)]).all():
         return float("nan")
     later = e(T3, name, "ndi_later") / e(T3, NOTHING, "shortest_wave")
@@ -246,13 +246,13 @@ def _same_torque_later(e: Evidence, name: str) -> float:
 
 
 def _less_delay(e: Evidence) -> float:
-    """Delay of NDI less the larger one of both MPC, over the shortest wave; NaN if NDI failed."""
+    """Subtract the larger delay of both MPC from that of NDI, over the shortest wave; NaN if NDI failed."""
     mpc, ndi = max(abs(e(T3, name, "delay")) for name in MPC), abs(e(T3, NDI, "delay"))
     return (ndi - mpc) / e(T3, NOTHING, "shortest_wave") if np.isfinite(ndi) else float("nan")
 
 
 def _because_of_preview(e: Evidence) -> Finding:
-    """Fraction of the delay of NDI behind NMPC that returns without preview; NaN if there is no such delay."""
+    """Compute the fraction of the lead of NMPC over NDI that is lost without preview; NaN if there is no lead."""
     nmpc, ndi, rates, short = (abs(e(T3, name, "delay")) for name in ("nmpc", NDI, RATES, SHORT))
     if not ndi - nmpc > 0.1 * e(T3, NOTHING, "shortest_wave"):
         return Finding(float("nan"))
@@ -260,7 +260,7 @@ def _because_of_preview(e: Evidence) -> Finding:
 
 
 def _robust(e: Evidence) -> float:
-    """Largest ratio of the errors of both MPC with another lag of the drive and with the nominal one."""
+    """Compute the largest ratio of errors of both MPC with another lag of the drive and with the nominal one."""
     ratios = [
         e(f"lag {lag:g} ms, {scenario}", name, "rmse_y") / e(scenario, name, "rmse_y")
         for scenario, lag, name in product((T3, FASTEST), LAGS_MS, MPC)
@@ -269,7 +269,7 @@ def _robust(e: Evidence) -> float:
 
 
 def _drift_from_model(e: Evidence) -> Finding:
-    """Steady error on a car as modelled over that on the real one (NaN if negligible); weaker with one cause alone."""
+    """Divide the steady error on a car as modelled by the real one (NaN if small); weaker with one cause alone."""
     drift = {name: abs(e(T3, name, DRIFT)) for name in ("nmpc", AS_MODELLED, CONES, NO_CREEP)}
     if not drift["nmpc"] > 0.1 * e(T3, NOTHING, "largest_error"):
         return Finding(float("nan"))
@@ -278,7 +278,7 @@ def _drift_from_model(e: Evidence) -> Finding:
 
 
 def _gyroscope(e: Evidence) -> float:
-    """The balanced fraction of the gyroscopic moment that is farthest from 1, of three controllers."""
+    """Find the controller whose balanced fraction of the gyroscopic moment is farthest from 1: this fraction."""
     shares = [e(T3, name, "gyroscopic_share") for name in PAPER_TRIO]
     return max(shares, key=lambda share: abs(share - 1) if np.isfinite(share) else np.inf)
 
@@ -290,18 +290,18 @@ def usual_times(e: Evidence, solver: str, column: str = "median_ms") -> pd.Serie
 
 
 def _feasible(e: Evidence) -> Finding:
-    """Longest time of an LTV problem over a sampling time of 5 ms; weaker without active bounds."""
+    """Divide the longest time of an LTV problem by a sampling time of 5 ms; weaker without active bounds."""
     worst = e.table("solve_times").query("solver == 'ltv_mpc'")["max_ms"].max()
     return Finding(worst / 5.0, usual_times(e, "ltv_mpc", "max_ms").max() / 5.0)
 
 
 def _ranked(e: Evidence, scenarios: Iterable[str], *pairs: tuple[str, str]) -> float:
-    """Fraction of scenarios in which the first controller of every pair is ahead of the second."""
+    """Count in which fraction of the scenarios the first controller of every pair is ahead of the second."""
     return _fraction(all(e.ahead(scenario, *pair) for pair in pairs) for scenario in scenarios)
 
 
 def _slower_is_better(e: Evidence) -> float:
-    """Smallest rank correlation of error and speed among the controllers; NaN if a run failed."""
+    """Find the smallest rank correlation of error and speed among the controllers; NaN if a run failed."""
     errors = pd.DataFrame({name: [e(sine, name, "rmse_y") for sine in SINES.values()] for name in PAPER_TRIO})
     if not np.isfinite(errors.to_numpy()).all():
         return float("nan")
@@ -310,7 +310,7 @@ def _slower_is_better(e: Evidence) -> float:
 
 
 def _ndi_grows_most(e: Evidence) -> Finding:
-    """Slope of the error over speed of NDI, over the steeper slope of both MPC."""
+    """Divide the slope of the error of NDI over speed by the steeper slope of both MPC."""
     slopes = [np.polyfit([*SINES], [e(s, name, "rmse_y") for s in SINES.values()], 1)[0] for name in PAPER_TRIO]
     steepest = max(slopes[0], slopes[1])
     ratio = slopes[2] / steepest if steepest > 0 else float("inf") if slopes[2] > 0 else float("nan")
@@ -318,24 +318,24 @@ def _ndi_grows_most(e: Evidence) -> Finding:
 
 
 def _soft_too(value: Callable[[Evidence, str], float]) -> Callable[[Evidence], Finding]:
-    """Predicate on NMPC as tuned in Fig. 8, weaker with R x 10; `value` is a function of evidence and name."""
+    """Make a predicate on NMPC as tuned in Fig. 8, weaker with R x 10, from a function of evidence and name."""
     return lambda e: Finding(*(value(e, name) for name in NO_LAW))
 
 
 def _regular(e: Evidence) -> Finding:
-    """Deviation in regular operation of NMPC as tuned; weaker is the smaller one of it and the one with R x 10."""
+    """Take the deviation of NMPC as tuned in regular operation; weaker is the smaller one of it and R x 10."""
     deviations = [e(LOSS, name, "regular_deviation") for name in REGULAR.values()]
     return Finding(deviations[0], min(deviations))
 
 
 def _no_excessive_slip(e: Evidence, name: str) -> float:
-    """Largest slip over the excessive slip; NaN unless slip control halves it."""
+    """Divide the largest slip by the excessive slip; NaN unless slip control halves it."""
     slip, without = (e(LOSS, each, "largest_slip") for each in (name, NO_LAW[name]))
     return slip / e(LOSS, NOTHING, "excessive_slip") if slip < 0.5 * without else float("nan")
 
 
 def _ratio_due_to_law(e: Evidence, name: str, part: str, whole: str) -> float:
-    """Ratio of two counts; NaN if `whole` is 0, or if the ratio is not smaller by a tenth without slip control."""
+    """Divide two counts; NaN if `whole` is 0, or unless the ratio is smaller by a tenth without slip control."""
     ratio, without = (e(LOSS, each, part) / (e(LOSS, each, whole) or np.nan) for each in (name, NO_LAW[name]))
     return ratio if not np.isfinite(without) or without < 0.9 * ratio else float("nan")
 
@@ -350,31 +350,31 @@ def _one_law(e: Evidence, case: str) -> bool:
 
 
 def _without_knowledge(e: Evidence) -> float:
-    """Fraction of the fields of the map in which slip control halves the lost utilisation."""
+    """Count in which fraction of the fields of the map slip control halves the lost utilisation."""
     table = e.table("adhesion_map").set_index(["map", "x", "y"])["utilisation"]
     return _fraction(1 - table["friction"] < 0.5 * (1 - table["no slip control"]))
 
 
 def _step_bound(e: Evidence) -> float:
-    """Fraction of the steps above the bound of the proof whose deviation stays within the corridor of the law."""
+    """Count which fraction of the steps above the bound of the proof stays within the corridor of the law."""
     return _fraction(e.table("adhesion_law").query("p2_over_bound > 1")["rms_error"] < AdhesionSettings().corridor)
 
 
 def _stable_on_poor_rail(e: Evidence, name: str) -> float:
-    """Slope of y over the set point; NaN if the oscillation grows or the error is not below that of y = 0."""
+    """Take the slope of y over the set point; NaN if the oscillation grows or the error exceeds that of y = 0."""
     stable = e(LOSS, name, "error_growth") < BOUNDED and e.ratio(LOSS, name, NOTHING) < 1
     return e(LOSS, name, "set_point_gain") if stable else float("nan")
 
 
 def _poor_is_harder(e: Evidence) -> Finding:
-    """Smallest ratio of errors (over those of y = 0) on poor and dry rail of controllers without flange contact."""
+    """Find the smallest ratio of errors (over y = 0) on poor and dry rail among controllers off the flange."""
     free = [name for name in ("nmpc", NDI) if e(LOSS, name, "flange") == 0]
     ratios = [e.ratio(LOSS, name, NOTHING) / e.ratio(FASTEST, name, NOTHING) for name in free]
     return Finding(min(ratios, default=float("inf")), tie=max(e.tie(FASTEST, free), e.tie(LOSS, free)))
 
 
 def _front(e: Evidence, kind: str) -> list[tuple[float, float]]:
-    """Pairs (stopping distance, error) of a sweep in Fig. 9, ordered by factor or pole."""
+    """List the pairs (stopping distance, error) of a sweep in Fig. 9, ordered by factor or pole."""
     factors = sorted(
         float(metric.partition(" ")[2]) for s, n, metric in e.metrics if (s, n) == (BRAKE, kind) and "rmse_y " in metric
     )
@@ -384,7 +384,7 @@ def _front(e: Evidence, kind: str) -> list[tuple[float, float]]:
 
 
 def _saved(e: Evidence, runs: list[tuple[float, float]]) -> float:
-    """Fraction of the stopping distance saved from first to third R, less scatter; NaN unless smooth."""
+    """Compute the fraction of stopping distance saved from first to third R, less scatter; NaN unless smooth."""
     (distance, error), between, (shortest, largest) = runs
     scatter = [e(BRAKE, "nmpc", f"{metric}_spread") for metric in ("stopping_distance", "rmse_y")]
     smooth = shortest < between[0] < distance and error < between[1] < largest and largest > error * np.exp(scatter[1])
@@ -392,7 +392,7 @@ def _saved(e: Evidence, runs: list[tuple[float, float]]) -> float:
 
 
 def _trade_off(e: Evidence) -> Finding:
-    """Fraction saved by the second R; weaker is the largest one of a pair of the sweep within a factor of ten."""
+    """Compute the fraction saved by the second R; weaker is the largest of any pair within a factor of ten."""
     pair = [(e(BRAKE, n, "stopping_distance"), e(BRAKE, n, "rmse_y")) for n in ("nmpc", BETWEEN, SOFTEST)]
     sweep = _front(e, "sweep of R")
     others = [_saved(e, sweep[i : i + 3]) for i in range(len(sweep) - 2)]
@@ -400,7 +400,7 @@ def _trade_off(e: Evidence) -> Finding:
 
 
 def _more_smoothly(e: Evidence) -> float:
-    """Fraction of the steps of R that trade 1 % error for 0.5 % distance, less that of the poles of NDI."""
+    """Count how many steps of R trade 1 % error for 0.5 % distance, less those of the poles of NDI (fractions)."""
     sweeps = [_front(e, kind) for kind in ("sweep of R", "sweep of poles")]
     errors = [[error for _, error in sweep] for sweep in sweeps]
     low, high = max(map(min, errors)), min(map(max, errors))  # where the errors overlap
@@ -413,20 +413,20 @@ def _more_smoothly(e: Evidence) -> float:
 
 
 def _against_ndi(e: Evidence, metric: str) -> Finding:
-    """Largest ratio of NMPC with both R to NDI, weaker the smallest; the tie includes neighbouring R and poles."""
+    """Compare NMPC with both R to NDI: largest ratio, weaker the smallest; neighbours count for the tie."""
     ratios = [e.ratio(BRAKE, name, NDI, metric) for name in ("nmpc", SOFTEST)]
     near = (e(BRAKE, name, f"{metric}_spread") for name in ("nmpc", NDI))
     return Finding(max(ratios), min(ratios), max(e.tie(BRAKE, ("nmpc", NDI), metric), *near))
 
 
 def _acceptable(e: Evidence, without: str) -> Finding:
-    """Largest change of the error, over a tenth of the amplitude, if a simplification becomes true; weaker on T3."""
+    """Find the largest change of the error, over a tenth of the amplitude, by a simplification; weaker on T3."""
     changes = [abs(e(case, "nmpc", "rmse_y") - e(case, without, "rmse_y")) / (0.1 * 3e-3) for case in CASES]
     return Finding(max(changes), changes[CASES.index(T3)])
 
 
 def _similar_times(e: Evidence) -> float:
-    """Longest over shortest median solve time among the tracks, the larger ratio of NMPC and LTV-MPC."""
+    """Divide the longest by the shortest median solve time of the tracks: larger ratio of NMPC and LTV-MPC."""
     tracks = [usual_times(e, solver).filter(regex="^(curve|sine)") for solver in ("gauss_newton", "ltv_mpc")]
     return max(times.max() / times.min() for times in tracks)
 

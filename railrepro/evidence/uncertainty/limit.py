@@ -131,15 +131,16 @@ def feedback(of: System, weight: float) -> np.ndarray:
 
 
 def with_place(error: float, slopes: np.ndarray, loop: Loop) -> float:
-    """Add to a bound `error` (m) the bias of the measured track coordinate p, for the error from y* at the true p.
+    """Convert a bound `error` (m) from the set point at the measured track coordinate to one at the true coordinate.
 
-    The bias of `loop` adds, as a root of squares, its standard deviation times the RMS of `slopes` dy*/dp, shape (n,).
+    The root of squares adds the standard deviation of the measured coordinate times the RMS of `slopes` dy*/dp, shape
+    (n,).
     """
     return float(np.hypot(error, loop.position.bias / np.sqrt(3) * np.sqrt(np.mean(np.square(slopes)))))
 
 
 def _above(closed: np.ndarray, noise: np.ndarray, state: int) -> float:
-    """Standard deviation of a state above 5 Hz for x_(k+1) = closed x_k + noise e_k with white e of unit variance."""
+    """Compute the deviation above 5 Hz of a state of x_(k+1) = closed x_k + noise e_k with white e of variance 1."""
     h, n = CONTROL_PERIOD, len(closed)
     f = np.geomspace(_CUT / 4, 0.5 / h, 300)
     passed = 1 / (1 + (np.tan(np.pi * _CUT * h) / np.tan(np.minimum(np.pi * f * h, 1.57))) ** (2 * _ORDER))

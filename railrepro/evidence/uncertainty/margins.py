@@ -39,8 +39,7 @@ def delay_margin(setting: str, controller: str) -> float:
 
 
 def main() -> None:
-    """Write data/results/margins.csv (`delay_margin`) and sensitivity.csv (`peaks`) of `SHOWN`, on `paper` also of
-    `BY_SWARM`."""
+    """Write data/results/margins.csv (`delay_margin`) and sensitivity.csv (`peaks`) of the tuned sets."""
     pairs = [*product([PAPER], (*SHOWN, *BY_SWARM)), *product([LOOP], SHOWN)]
     loops = [(*pair, speed) for pair in pairs for speed in (100.0, 200.0, 300.0, 400.0)]
 

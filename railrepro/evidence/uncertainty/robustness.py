@@ -103,10 +103,10 @@ def evaluate(sample: Sample) -> dict:
 
 
 def _retuned(sample: Sample, name: str) -> dict:
-    """Tuning parameters of a controller on a sampled car, which keep the margin of the tuning task there.
+    """Choose tuning parameters of a controller that keep the margin of the tuning task on a sampled car.
 
-    With poles by the rule: `fastest_pole`. Else the tuned set is scaled in three ways, and the cheapest one that keeps
-    the margin counts; if none does, the one with the largest margin.
+    Poles by the rule come from `fastest_pole`. Otherwise the tuned set is scaled in three ways; the cheapest one that
+    keeps the margin counts, or the one with the largest margin.
     """
     task, world = load_task(setting=setting_of(sample.setting)), sample.world(TUNING)
     if name in task.rule and sample.setting == PAPER:
@@ -180,7 +180,7 @@ def decided(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _deciding(factors: pd.DataFrame, held: pd.Series) -> list[str]:
-    """Names of at most three parameters by rank correlation with a verdict; each explains what earlier ones leave."""
+    """Select up to three parameters by rank correlation with what earlier ones leave unexplained of a verdict."""
     columns, y = factors.rank(), held.rank()
     columns, y = columns - columns.mean(), y - y.mean()
     found: list[str] = []
