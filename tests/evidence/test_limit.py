@@ -60,5 +60,5 @@ def test_the_bias_of_the_planes_stays_and_the_bias_of_the_position_adds_the_slop
     biased, free = (bound.system(V, load_loop(**{"lateral.bias": bias}), 11.0, WALKS) for bias in (2e-4, 0.0))
     assert bound.at_weight(biased, 1e-6)[1] > 0.95 * 0.2e-3 / np.sqrt(6)
     assert bound.at_weight(free, 1e-6)[1] < 0.03e-3
-    assert bound.with_place(0.0, np.array([1e-4, -1e-4]), LOOP) == pytest.approx(1e-4 / np.sqrt(3))
-    assert bound.with_place(3e-5, np.zeros(4), LOOP) == pytest.approx(3e-5)
+    assert bound.at_true_position(0.0, np.array([1e-4, -1e-4]), LOOP) == pytest.approx(1e-4 / np.sqrt(3))
+    assert bound.at_true_position(3e-5, np.zeros(4), LOOP) == pytest.approx(3e-5)

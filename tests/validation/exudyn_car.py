@@ -38,10 +38,11 @@ MEASURED = (
     *(f"{gear}.{name}" for name in ("y", "psi_TrAx") for gear in GEARS),
     *(f"{wheel}.{name}" for name in ("w", "N") for wheel in WHEELS),
 )
+_OF_WHEEL = ("N", "adhesion", "sx", "nu_y", "angle", "place", "w", "tau")
 OBSERVED = (
     *MEASURED,
     *(f"{gear}.{name}" for gear in GEARS for name in ("p", "v", "psi_Ax", "psidot_Ax")),
-    *(f"{wheel}.{name}" for wheel in WHEELS for name in ("adhesion", "sx", "nu_y", "angle", "place", "tau")),
+    *(f"{wheel}.{name}" for wheel in WHEELS for name in _OF_WHEEL if name not in ("w", "N")),
 )
 """Columns of a run: `MEASURED`, further inputs of law and metrics, and the position of the rail on the wheel."""
 STEP = 5e-4  # usual step of Exudyn's Runge-Kutta method (s)
@@ -299,34 +300,33 @@ def forces(vehicle: Vehicle, law: Callable = creep) -> ca.Function:
     cells = ca.SX.sym("cells", 1 + 4 * len(_COLUMNS), 4)
     parts = [(*ca.vertsplit(motion[:9, i], 3), ca.reshape(motion[9:, i], 3, 3)) for i in range(3)]
     loads = [ca.SX.zeros(6) for _ in range(7)]
-    places, lateral, yaw, spins, normals, of_gears, of_wheels = [], [], [], [], [], [], []
-    for g, end in enumerate((1, -1)):
+    seen = {}
+    for g, (name, end) in enumerate(zip(GEARS, (1, -1), strict=True)):
         gear, s = parts[1 + g], guess[g]
         get = dict(zip(_STATION, ca.vertsplit(stations[:, g]), strict=True))
         for _ in range(3):
             position, rotation = _frame(get, s)
             s += ca.dot(rotation[:, 0], gear[0] - position)
         position, rotation = _frame(get, s)
-        relative, axle = rotation.T @ gear[3], gear[3][:, 1]
-        places.append(s)
-        lateral.append(ca.dot(rotation[:, 1], gear[0] - position))
-        yaw.append(ca.atan2(relative[1, 0], relative[0, 0]))
-        speed, heading = ca.dot(rotation[:, 0], gear[1]), ca.atan2(gear[3][1, 0], gear[3][0, 0])
-        of_gears += [s, speed, heading, ca.dot(gear[2], rotation[:, 2])]
+        relative, axle, speed = rotation.T @ gear[3], gear[3][:, 1], ca.dot(rotation[:, 0], gear[1])
+        seen |= {f"{name}.p": s, f"{name}.v": speed, f"{name}.y": ca.dot(rotation[:, 1], gear[0] - position)}
+        seen[f"{name}.psi_TrAx"] = ca.atan2(relative[1, 0], relative[0, 0])
+        seen[f"{name}.psi_Ax"] = ca.atan2(gear[3][1, 0], gear[3][0, 0])
+        seen[f"{name}.psidot_Ax"] = ca.dot(gear[2], rotation[:, 2])
         force, on_gear, on_body = _suspension(vehicle, end, parts[0], gear)
         loads[0] -= ca.vertcat(force, -on_body)
         loads[1 + g] += ca.vertcat(force, on_gear)
         for i, side in ((2 * g, -1), (2 * g + 1, 1)):
             arm = side * vehicle.gear.contact_base / 2 * axle
             wheel = gear[0] + arm, gear[1] + ca.cross(gear[2], arm), turns[:, i]
-            force, torque, normal, *more = _contact(vehicle, law, side, get, cells[:, i], s, speed, axle, wheel)
+            force, torque, *found = _contact(vehicle, law, side, get, cells[:, i], s, speed, axle, wheel)
             loads[3 + i] += ca.vertcat(force, torque - tau[i] * axle)
             loads[1 + g] += ca.vertcat(0, 0, 0, tau[i] * axle)
-            spins, normals = [*spins, -ca.dot(axle, turns[:, i])], [*normals, normal]
-            of_wheels += [*more, tau[i]]
-    observed = ca.vertcat(*lateral, *yaw, *spins, *normals, *of_gears, *of_wheels)
-    results = [ca.densify(ca.horzcat(*loads)), ca.vertcat(*places), observed]
-    return ca.Function("space_forces", [motion, turns, stations, cells, guess, tau], results, {"cse": True})
+            found += [-ca.dot(axle, turns[:, i]), tau[i]]
+            seen |= {f"{WHEELS[i]}.{key}": value for key, value in zip(_OF_WHEEL, found, strict=True)}
+    reached, observed = ca.vertcat(seen["front.p"], seen["rear.p"]), ca.vertcat(*(seen[name] for name in OBSERVED))
+    inputs = [motion, turns, stations, cells, guess, tau]
+    return ca.Function("space_forces", inputs, [ca.densify(ca.horzcat(*loads)), reached, observed], {"cse": True})
 
 
 class ExudynCar:

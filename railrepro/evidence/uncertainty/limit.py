@@ -67,24 +67,25 @@ def system(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float
     h, n = CONTROL_PERIOD, len(STATES)
     rates, du, _, unknown = lateral_model(vehicle, speed)
     inputs = np.column_stack([du, unknown])
-    step, held, *_ = cont2discrete((rates, inputs, np.zeros((1, n)), np.zeros((1, inputs.shape[1]))), h)
-    late = max(round((loop.latency.measurement + loop.latency.command) / h), 1)
-    size = TORQUE + late + 1
+    transition, response, *_ = cont2discrete((rates, inputs, np.zeros((1, n)), np.zeros((1, inputs.shape[1]))), h)
+    delays = max(round((loop.latency.measurement + loop.latency.command) / h), 1)
+    size = TORQUE + delays + 1
     a, b, c = np.zeros((size, size)), np.zeros(size), np.zeros((len(BIASES), size))
-    a[:n, :n], a[:n, n : n + len(UNKNOWN)] = step, held[:, 1:]
-    a[:n, -1] = held[:, 0]  # the last torque of the chain acts
+    a[:n, :n], a[:n, n : n + len(UNKNOWN)] = transition, response[:, 1:]
+    a[:n, -1] = response[:, 0]  # the last torque of the chain acts
     a[n:TORQUE, n:TORQUE] = np.exp(-h / MEMORY) * np.eye(TORQUE - n)
     a[TORQUE, TORQUE] = b[TORQUE] = 1.0
-    a[TORQUE + 1 :, TORQUE:-1] = np.eye(late)
+    a[TORQUE + 1 :, TORQUE:-1] = np.eye(delays)
     for row, name in enumerate(BIASES):
         c[row, STATES.index(name)] = c[row, n + len(UNKNOWN) + row] = 1.0
     noise, spread = loop.lateral_errors()
     noise, spread = np.maximum(noise, 1e-9), np.maximum(spread, 1e-12)
-    walked = np.concatenate([np.square(walks) * h, (1 - np.exp(-2 * h / MEMORY)) * spread**2])
-    units = np.concatenate([UNITS, np.sqrt(walked / h), np.full(late + 1, 100.0)])
+    variances = np.concatenate([np.square(walks) * h, (1 - np.exp(-2 * h / MEMORY)) * spread**2])
+    units = np.concatenate([UNITS, np.sqrt(variances / h), np.full(delays + 1, 100.0)])
     q = np.diag((_QUIET * units) ** 2)
-    q[n:TORQUE, n:TORQUE] += np.diag(walked)
-    q[:n, :n] += held[:, 1:] @ np.diag(walked[: len(UNKNOWN)]) @ held[:, 1:].T / 3  # of the walk within the period
+    q[n:TORQUE, n:TORQUE] += np.diag(variances)
+    # the walk within the period
+    q[:n, :n] += response[:, 1:] @ np.diag(variances[: len(UNKNOWN)]) @ response[:, 1:].T / 3
     scale = units / units[:, None]
     return System(a * scale, b / units, c * units / noise[:, None], q / np.outer(units, units), units)
 
@@ -95,42 +96,42 @@ def limit(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float]
     The error is the standard deviation of y from the set point at the measured track coordinate. `activity` is the RMS
     of the differential torque above 5 Hz (N m). `loop` are the sensors, `speed` is in m/s, `walks` are as in `system`.
     """
-    of = system(vehicle, loop, speed, walks)
-    log_weight = brentq(lambda log: np.log(at_weight(of, 10.0**log)[2] / activity), -10.0, 0.0, xtol=1e-3)
-    return at_weight(of, 10.0**log_weight)[0]
+    plant = system(vehicle, loop, speed, walks)
+    log_weight = brentq(lambda log: np.log(at_weight(plant, 10.0**log)[2] / activity), -10.0, 0.0, xtol=1e-3)
+    return at_weight(plant, 10.0**log_weight)[0]
 
 
-def at_weight(of: System, weight: float) -> tuple[float, float, float]:
+def at_weight(plant: System, weight: float) -> tuple[float, float, float]:
     """Compute standard deviations under the optimal law (`feedback`) for a `weight` of the torque change (1/(N m)^2).
 
     Returns y (m), the part of y that no torque removes, which is the error of the Kalman filter (m), and the torque
     above 5 Hz (N m).
     """
-    p, m = np.zeros_like(of.a), TORQUE  # the torques are known
-    p[:m, :m] = solve_discrete_are(of.a[:m, :m].T, of.c[:, :m].T, of.q[:m, :m], np.eye(len(of.c)))
-    innovation = of.c @ p @ of.c.T + np.eye(len(of.c))
-    gain = p @ of.c.T @ np.linalg.inv(innovation)
-    after, driven = p - gain @ of.c @ p, gain @ innovation @ gain.T
-    closed = of.a - np.outer(of.b, feedback(of, weight))
+    p, m = np.zeros_like(plant.a), TORQUE  # the torques are known
+    p[:m, :m] = solve_discrete_are(plant.a[:m, :m].T, plant.c[:, :m].T, plant.q[:m, :m], np.eye(len(plant.c)))
+    innovation = plant.c @ p @ plant.c.T + np.eye(len(plant.c))
+    gain = p @ plant.c.T @ np.linalg.inv(innovation)
+    error, driven = p - gain @ plant.c @ p, gain @ innovation @ gain.T
+    closed = plant.a - np.outer(plant.b, feedback(plant, weight))
     filtered = solve_discrete_lyapunov(closed, (driven + driven.T) / 2)
-    known, whole, unit = after[Y, Y], filtered[Y, Y] + after[Y, Y], of.units[Y]
-    torque = of.units[TORQUE] * _above(closed, gain @ np.linalg.cholesky(innovation), TORQUE)
+    known, whole, unit = error[Y, Y], filtered[Y, Y] + error[Y, Y], plant.units[Y]
+    torque = plant.units[TORQUE] * _above(closed, gain @ np.linalg.cholesky(innovation), TORQUE)
     return float(unit * np.sqrt(whole)), float(unit * np.sqrt(known)), float(torque)
 
 
-def feedback(of: System, weight: float) -> np.ndarray:
+def feedback(plant: System, weight: float) -> np.ndarray:
     """Compute the gain L (N m), shape (n,), of the optimal law du_k - du_(k-1) = -L x, x in `System.units`.
 
     L minimises E[y^2] + weight E[(du_k - du_(k-1))^2] with y in its unit.
     """
-    cost, unit = np.zeros_like(of.a), of.units[TORQUE]
+    cost, unit = np.zeros_like(plant.a), plant.units[TORQUE]
     cost[Y, Y] = 1.0
-    b = of.b[:, None] * unit  # in units of the torque the equation is well scaled
-    p = solve_discrete_are(of.a, b, cost, np.array([[weight * unit**2]]))
-    return unit * (b.T @ p @ of.a)[0] / float(weight * unit**2 + (b.T @ p @ b)[0, 0])
+    b = plant.b[:, None] * unit  # in units of the torque the equation is well scaled
+    p = solve_discrete_are(plant.a, b, cost, np.array([[weight * unit**2]]))
+    return unit * (b.T @ p @ plant.a)[0] / float(weight * unit**2 + (b.T @ p @ b)[0, 0])
 
 
-def with_place(error: float, slopes: np.ndarray, loop: Loop) -> float:
+def at_true_position(error: float, slopes: np.ndarray, loop: Loop) -> float:
     """Convert a bound `error` (m) from the set point at the measured track coordinate to one at the true coordinate.
 
     The root of squares adds the standard deviation of the measured coordinate times the RMS of `slopes` dy*/dp, shape

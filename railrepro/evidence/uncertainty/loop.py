@@ -93,7 +93,7 @@ def limit_of(run: Experiment) -> dict:
         return {}
     slope = scenario.route().reference_at(np.arange(0.0, scenario.end_m, 0.5))[1]
     bound = limit.limit(load_vehicle(), loop, scenario.speed, _STILL)
-    return {"limit_mm": 1e3 * limit.with_place(bound, slope, loop), "limit_at_believed_place_mm": 1e3 * bound}
+    return {"limit_mm": 1e3 * limit.at_true_position(bound, slope, loop), "limit_at_believed_place_mm": 1e3 * bound}
 
 
 def followed(run: simulate.Run, _experiment: Experiment) -> store.Entry:

@@ -48,8 +48,8 @@ def main() -> None:
         return peaks(controller, parameters(controller, setting), speed, setting == LOOP)
 
     delays = ordered_map(lambda pair: delay_margin(*pair), pairs, "delay margins")
-    found = ordered_map(sensitivity, loops, "sensitivity")
+    curves = ordered_map(sensitivity, loops, "sensitivity")
     margins = pd.DataFrame(pairs, columns=["setting", "controller"]).assign(delay_margin_s=delays)
-    measured = pd.DataFrame(loops, columns=["setting", "controller", "speed_kmh"]).join(pd.DataFrame(found))
+    measured = pd.DataFrame(loops, columns=["setting", "controller", "speed_kmh"]).join(pd.DataFrame(curves))
     for name, rows in {"margins": margins, "sensitivity": measured}.items():
         write(paths.product(f"data/results/{name}.csv"), rows.to_csv(index=False, float_format="%.6g"))

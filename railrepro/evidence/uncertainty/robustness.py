@@ -123,9 +123,9 @@ def _retuned(sample: Sample, name: str) -> dict:
         costs.append((sum(run_cost(run, task.cost) for run in runs), scale, scaled))
     least, tried = task.margin["least"], []
     for *_, scaled in sorted(costs, key=lambda one: one[:2]):
-        found = margin.smallest(name, scaled, task.margin["speeds_kmh"], least, task.sensed, world.car())
-        tried.append((found, scaled))
-        if found >= least:
+        reached = margin.smallest(name, scaled, task.margin["speeds_kmh"], least, task.sensed, world.car())
+        tried.append((reached, scaled))
+        if reached >= least:
             break
     return max(tried, key=lambda one: one[0])[1]
 
@@ -140,9 +140,9 @@ def holds(table: pd.DataFrame) -> pd.DataFrame:
     nominal, rows = Nominal(), []
     for row in table.to_dict("records"):
         metrics = {tuple(key.split("/")): value for key, value in row.items() if key.count("/") == 2 and value == value}
-        found = statements.findings(statements.Evidence(metrics, nominal.evidence(row["setting"]).spread))
-        held = {name: one.judge(found[name]) == statements.REPRODUCED for name, one in known.items() if name in found}
-        rows.append({name: row[name] for name in LABELS} | held)
+        findings = statements.findings(statements.Evidence(metrics, nominal.evidence(row["setting"]).spread))
+        truth = {i: rule.judge(findings[i]) == statements.REPRODUCED for i, rule in known.items() if i in findings}
+        rows.append({name: row[name] for name in LABELS} | truth)
     return pd.DataFrame(rows)
 
 
@@ -158,10 +158,10 @@ def shares(table: pd.DataFrame | None) -> pd.DataFrame:
     judged, rows = holds(table), []
     for identity in judged.columns.drop([*LABELS]):
         for setting, samples in judged.dropna(subset=[identity]).groupby("setting", sort=False):
-            held = samples[identity].astype(bool)
-            interval = stats.binomtest(int(held.sum()), len(held)).proportion_ci(method="exact")
-            by_profile = held.groupby(samples["profile"]).mean().reindex(["cone", "s1002"])
-            rows.append((identity, setting, held.mean(), interval.low, interval.high, len(held), *by_profile))
+            truth = samples[identity].astype(bool)
+            interval = stats.binomtest(int(truth.sum()), len(truth)).proportion_ci(method="exact")
+            by_profile = truth.groupby(samples["profile"]).mean().reindex(["cone", "s1002"])
+            rows.append((identity, setting, truth.mean(), interval.low, interval.high, len(truth), *by_profile))
     return pd.DataFrame(rows, columns=columns)
 
 
@@ -174,28 +174,28 @@ def decided(table: pd.DataFrame) -> pd.DataFrame:
     result, judged = shares(table), holds(table)
     factors, names = table[[dimension.name for dimension in prior()]], []
     for identity in result["id"]:
-        held = judged[identity].dropna().astype(float)
-        names.append(", ".join(_deciding(factors.loc[held.index], held)))
+        truth = judged[identity].dropna().astype(float)
+        names.append(", ".join(_deciding(factors.loc[truth.index], truth)))
     return result.assign(decided_by=names)
 
 
-def _deciding(factors: pd.DataFrame, held: pd.Series) -> list[str]:
+def _deciding(factors: pd.DataFrame, truth: pd.Series) -> list[str]:
     """Select up to three parameters by rank correlation with what earlier ones leave unexplained of a verdict."""
-    columns, y = factors.rank(), held.rank()
+    columns, y = factors.rank(), truth.rank()
     columns, y = columns - columns.mean(), y - y.mean()
-    found: list[str] = []
-    while len(found) < 3 and float(y @ y) > 1e-9 * len(y):
+    names: list[str] = []
+    while len(names) < 3 and float(y @ y) > 1e-9 * len(y):
         columns = columns.loc[:, (columns**2).sum() > 1e-9 * len(y)]
         r = (columns.T @ y) / np.sqrt((columns**2).sum() * float(y @ y))
         name = str(r.abs().idxmax())
-        value, freedom = float(np.clip(r[name], -1, 1)), len(y) - 2 - len(found)
+        value, freedom = float(np.clip(r[name], -1, 1)), len(y) - 2 - len(names)
         t = abs(value) * np.sqrt(freedom / max(1 - value**2, 1e-12))
         if 2 * stats.t.sf(t, freedom) * len(r) > 1e-3:
             break
-        found.append(name)
+        names.append(name)
         chosen = columns[name] / np.sqrt((columns[name] ** 2).sum())
         columns, y = columns - np.outer(chosen, chosen @ columns), y - chosen * (chosen @ y)
-    return found
+    return names
 
 
 POLES = (10, 15, 20, 25, 30, 35, 40, 50, 60, 70, 80)  # triple poles of NDI (rad/s)
@@ -227,7 +227,7 @@ def main() -> None:
     for setting in COLUMNS:
         drawn = draw(SAMPLES[setting], settings=(setting,))
         finished.append(pd.DataFrame(ordered_map(evaluate, drawn, f"robustness, {setting}")))
-        table, found = pd.concat(finished), pd.concat([decided(each) for each in finished])
+        table, claims = pd.concat(finished), pd.concat([decided(each) for each in finished])
         write(paths.product("data/results/robustness_samples.csv"), table.to_csv(index=False, float_format="%.6g"))
-        write(paths.product("data/results/robustness_claims.csv"), found.to_csv(index=False, float_format="%.4g"))
-    print(found.to_string(index=False))
+        write(paths.product("data/results/robustness_claims.csv"), claims.to_csv(index=False, float_format="%.4g"))
+    print(claims.to_string(index=False))
