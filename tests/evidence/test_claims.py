@@ -91,13 +91,13 @@ def test_each_statement_that_is_not_reproduced_has_a_reason(table, nominal):
     assert not contract["why"].str.contains("](", regex=False).any()
 
 
-HEAD = ["scenario", "controller", "metric", "value", "unit", "setting", "swarm", "seed"]
 T3 = "curve_entry_T3"
 
 
 def handed(rows, **tables):
     """Results with rows of metrics, as the probe writes them."""
-    return {"nominal_metrics": pd.DataFrame(rows, columns=HEAD), **tables}.get
+    columns = ["scenario", "controller", "metric", "value", "unit", "setting", "swarm", "seed"]
+    return {"nominal_metrics": pd.DataFrame(rows, columns=columns), **tables}.get
 
 
 def test_the_tuned_set_counts_and_a_run_that_failed_makes_all_fail():
@@ -127,25 +127,20 @@ def test_statements_that_compare_are_judged_on_each_setting():
     assert found["C13"].to_dict() == {"": "not testable"}
 
 
-def judged(kind="statement", **by_setting):
-    """Rows of one statement; `any` is without a setting."""
-    settings = ["" if setting == "any" else setting for setting in by_setting]
-    return pd.DataFrame({"id": "C05", "setting": settings, "judged": by_setting.values(), "kind": kind})
-
-
 @pytest.mark.parametrize(
-    ("table", "expected"),
+    ("verdicts", "expected"),
     [
-        (judged(paper="reproduced", swarm="not reproduced"), "reproduced"),
-        (judged(paper="not reproduced", swarm="reproduced", loop="reproduced"), "not reproduced"),
-        (judged(paper="tie", swarm="reproduced"), "tie"),
-        (judged(paper="fragile"), "fragile"),
-        (judged(swarm="reproduced"), "not testable"),
-        (judged(kind="calibrated", any="not testable"), "no verdict"),
+        ({"paper": "reproduced", "swarm": "not reproduced"}, "reproduced"),
+        ({"paper": "not reproduced", "swarm": "reproduced", "loop": "reproduced"}, "not reproduced"),
+        ({"paper": "tie", "swarm": "reproduced"}, "tie"),
+        ({"": "fragile"}, "fragile"),
+        ({"swarm": "reproduced"}, "not testable"),
     ],
 )
-def test_the_headline_is_the_verdict_on_paper_and_never_the_best_of_three(table, expected):
-    assert claims.headline(table) == expected
+def test_the_headline_is_the_verdict_on_paper_and_never_the_best_of_three(verdicts, expected):
+    rows = pd.DataFrame({"setting": verdicts.keys(), "judged": verdicts.values(), "kind": "statement"})
+    assert claims.headline(rows) == expected
+    assert claims.headline(rows.assign(kind="calibrated")) == "no verdict"
 
 
 @pytest.mark.parametrize(

@@ -38,8 +38,6 @@ ONCE = ("causes", "sudden", "share", "rails", "lags")
 """Groups of runs once per setting: creep and cones, sudden losses of adhesion, allocation, irregular rails, lags."""
 SEEDS = (101, 102, 103)  # of the sensor noise in nominal runs; tuning has others
 
-# Fig. 6
-SHORTEST = 0.06  # shortest horizon of NMPC (s): 5 m
 # Fig. 8
 PERTURBED = (0.98, 0.99, 1.0, 1.01, 1.02)  # factors on R to average over: at the adhesion peak single runs are chaotic
 REGULAR_END, DEMANDED, REACHED = 110.0, 130.0, 240.0
@@ -57,7 +55,6 @@ SHARES = (0.0, 0.02, 0.03, 0.045, 0.07, 0.1, 0.15, 0.22, 0.33)
 PATCH, CHECKED = (300.0, 500.0), 100.0
 """Begin and end of the very poor rail, and the distance before it on which operation must be regular (m): the adhesion
 law has climbed to its set point by 160 m."""
-SUDDEN_KMH, SUDDEN_KN = 280.0, 17.0  # speed, and force per running gear in traction and braking
 NO_SLIP_CONTROL = AdhesionSettings(active=False)
 
 _FOLLOWING = ("rmse_y", "largest_error", "mean_error_last_third", "effort_du")
@@ -203,7 +200,7 @@ def _curve(world: ProbeSetup) -> Measured:
     for name in statements.MPC:
         if {name, NDI} <= set(series):
             yield T3, name, torque_shift(series[name], series[NDI])
-    short = world.parameters["nmpc"] | {"horizon_s": SHORTEST}
+    short = world.parameters["nmpc"] | {"horizon_s": 0.06}  # 5 m
     unforeseen = {
         statements.RATES: world.experiment(scenario, NDI, changes={"rates": True}, alignment=stretched),
         statements.SHORT: world.experiment(scenario, "nmpc", short, alignment=stretched),
@@ -262,11 +259,11 @@ def _sudden(world: ProbeSetup) -> Measured:
     """Drive NMPC as tuned over a patch of very poor rail, with and without slip control."""
     begin, end = PATCH
     points = ((0.0, 0.0), (begin - 0.5, 0.0), (begin + 0.5, 1.0), (end - 0.5, 1.0), (end + 0.5, 0.0))
-    base = load_scenario(LOSS).but(speed_kmh=SUDDEN_KMH, end_m=end + 300, poor="very_poor", poor_share=())
+    base = load_scenario(LOSS).but(speed_kmh=280.0, end_m=end + 300, poor="very_poor", poor_share=())
     for case in statements.SUDDEN:
         share = {"poor_share" if case.startswith("both rails") else "poor_share_left": points}
-        force = SUDDEN_KN if case.endswith("traction") else -SUDDEN_KN
-        scenario = base.but(force_kN=((0.0, force),), **share)
+        force = 17.0 if case.endswith("traction") else -17.0
+        scenario = base.but(force_kN=((0.0, force),), **share)  # per running gear
         for label, law in (("nmpc", None), (statements.NO_LAW["nmpc"], NO_SLIP_CONTROL)):
             yield case, label, world.experiment(scenario, "nmpc", adhesion=law).measured(slipping)[0]
 
