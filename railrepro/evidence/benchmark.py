@@ -277,7 +277,7 @@ def ends_of_the_scale(case: Experiment) -> dict[str, float]:
     slopes = route.reference_at(np.arange(0.0, scenario.end_m or route.length))[1]
     key = store.key(__name__, "limit", loop, speed, _WALKS, _ACTIVITIES, load_vehicle())
     errors = store.entry(key, lambda: work(_bounds, loop, speed))[0]["errors"]
-    least = [bound.with_place(error, slopes, loop) for error in errors]
+    least = [bound.at_true_position(error, slopes, loop) for error in errors]
     best = min(error / 1e-3 + torque / 4e3 for error, torque in zip(least, _ACTIVITIES, strict=True))
     return ends | {"limit": min(least), "best": best}
 

@@ -8,22 +8,17 @@ import pytest
 
 from railrepro import paths
 from railrepro.control.registry import PAPER_TRIO
-from railrepro.evidence.claims import calibrated, statements
+from railrepro.evidence.claims import calibrated
 from railrepro.tuning import sets
 
 CHOICES = calibrated.load()
-
-
-def test_every_choice_names_known_statements_and_a_source():
-    known = set(statements.load())
-    assert all(choice.source and choice.why and known.issuperset(choice.statements) for choice in CHOICES.values())
 
 
 def test_the_uncalibrated_car_is_the_nominal_one_on_s1002_with_the_sets_of_paper():
     setup = calibrated.setup({})
     assert setup.car().contact.profile == "s1002" and not setup.vehicle and setup.r_loss == setup.r_brake == 1
     assert setup.parameters == {name: sets.load(name, "paper")["parameters"] for name in PAPER_TRIO}
-    nominal = {name: choice.nominal for name, choice in CHOICES.items() if name not in ("ltv_mpc_printed.r",)}
+    nominal = {name: choice.nominal for name, choice in CHOICES.items() if name != "ltv_mpc_printed.r"}
     as_given = calibrated.setup(nominal)
     assert replace(as_given, plant={}, vehicle={}, brake_sweep={}) == setup
     sweep = {"brake_sweep": {"amplitude_mm": 2.0, "end_m": 800.0}, "brake_sweep:end_m": 700.0}
@@ -54,7 +49,7 @@ def test_one_choice_is_undone_and_all_others_stay(monkeypatch):
         assert setup != calibrated.cars()["calibrated"]
 
 
-def test_the_curve_entry_is_the_papers_with_margin():
+def test_the_curve_entry_reproduces_the_paper():
     found = calibrated.judged(calibrated.cars()["calibrated"], parts=("curve",)).set_index("statement")
     assert set(found.index) == {"C04", "C05", "C06", "C07", "C08", "C09", "C10", "C11", "C12", "C42", "C51"}
     assert set(found.index[~found["holds"]]) == {"C04", "C51"}, "NDI follows too little; preview is not the cause"

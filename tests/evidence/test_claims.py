@@ -1,4 +1,4 @@
-"""Report: statements are judged in their settings, verdicts change on purpose only, each number leads to its table."""
+"""Report: statements are judged in their settings, sentences are true, each number leads to its table."""
 
 import re
 
@@ -47,10 +47,10 @@ def test_a_condition_is_evaluated_on_the_tables(condition, true, table, nominal)
     assert Page(table, nominal).true(condition) == true
 
 
-def test_a_number_of_the_prose_is_that_of_its_table(table, nominal):
+def test_a_number_in_a_sentence_is_that_of_its_table(table, nominal):
     value = 1e3 * nominal.evidence("swarm")("curve_entry_T3", "nmpc", "rmse_y")
-    place = "{{ q('swarm', 'curve_entry_T3', 'nmpc', 'rmse_y', 'mm') }}"
-    assert Page(table, nominal).text(place) == f"[{value:.3g} mm](data/results/nominal_metrics.csv)"
+    expression = "{{ q('swarm', 'curve_entry_T3', 'nmpc', 'rmse_y', 'mm') }}"
+    assert Page(table, nominal).text(expression) == f"[{value:.3g} mm](data/results/nominal_metrics.csv)"
 
 
 @pytest.mark.parametrize("condition", ["1 < poll", "tuned('ndi').pol > 1", "holds('C99', 'paper')"])
@@ -70,7 +70,7 @@ def test_a_click_leads_from_statement_to_figure_chapter_and_table(table, nominal
 
 @pytest.mark.parametrize("name", sorted(set(statements.TABLES.values())))
 def test_a_predicate_reads_its_own_setting_of_the_table_that_is_named(name, nominal):
-    """Nonsense in the rows of the other settings changes nothing, nor do other tables."""
+    """Wrong values in rows of other settings change nothing, nor do other tables."""
     table, reading = result(name), [identity for identity, own in statements.TABLES.items() if own == name]
     for setting in ("", *nominal.settings()):
         own = setting if name == METRICS else setting_of(setting)
@@ -81,7 +81,7 @@ def test_a_predicate_reads_its_own_setting_of_the_table_that_is_named(name, nomi
         assert [repr(found.get(i)) for i in reading] == [repr(alone.get(i)) for i in reading]
 
 
-def test_what_is_not_reproduced_says_why(table, nominal):
+def test_each_statement_that_is_not_reproduced_has_a_reason(table, nominal):
     page = Page(table, nominal)
     told = {identity for of, _ in page.sentences("why") for identity in of}
     assert told == {identity for identity, verdict in page.statements.items() if verdict != "reproduced"}
@@ -91,13 +91,13 @@ def test_what_is_not_reproduced_says_why(table, nominal):
     assert not contract["why"].str.contains("](", regex=False).any()
 
 
-HEAD = ["scenario", "controller", "metric", "value", "unit", "setting", "swarm", "seed"]
 T3 = "curve_entry_T3"
 
 
 def handed(rows, **tables):
-    """Results with a table of metrics that was handed in, in the form of the probe."""
-    return {"nominal_metrics": pd.DataFrame(rows, columns=HEAD), **tables}.get
+    """Results with rows of metrics, as the probe writes them."""
+    columns = ["scenario", "controller", "metric", "value", "unit", "setting", "swarm", "seed"]
+    return {"nominal_metrics": pd.DataFrame(rows, columns=columns), **tables}.get
 
 
 def test_the_tuned_set_counts_and_a_run_that_failed_makes_all_fail():
@@ -111,7 +111,7 @@ def test_the_tuned_set_counts_and_a_run_that_failed_makes_all_fail():
 
 
 def on_setting(**ndi):
-    """Errors in the settings: those of both MPC are 1 mm, and 5 % larger with another swarm, as those of NDI are."""
+    """Errors in the settings: 1 mm for both MPC, as given for NDI; 5 % larger with another swarm."""
     return [
         (T3, name, "rmse_y", factor * (value if name == "ndi" else 1e-3), "m", setting, swarm, 0)
         for setting, value in ndi.items()
@@ -127,25 +127,20 @@ def test_statements_that_compare_are_judged_on_each_setting():
     assert found["C13"].to_dict() == {"": "not testable"}
 
 
-def judged(kind="statement", **by_setting):
-    """Rows of one statement; `any` for what needs no setting."""
-    settings = ["" if setting == "any" else setting for setting in by_setting]
-    return pd.DataFrame({"id": "C05", "setting": settings, "judged": by_setting.values(), "kind": kind})
-
-
 @pytest.mark.parametrize(
-    ("table", "expected"),
+    ("verdicts", "expected"),
     [
-        (judged(paper="reproduced", swarm="not reproduced"), "reproduced"),
-        (judged(paper="not reproduced", swarm="reproduced", loop="reproduced"), "not reproduced"),
-        (judged(paper="tie", swarm="reproduced"), "tie"),
-        (judged(paper="fragile"), "fragile"),
-        (judged(swarm="reproduced"), "not testable"),
-        (judged(kind="calibrated", any="not testable"), "no verdict"),
+        ({"paper": "reproduced", "swarm": "not reproduced"}, "reproduced"),
+        ({"paper": "not reproduced", "swarm": "reproduced", "loop": "reproduced"}, "not reproduced"),
+        ({"paper": "tie", "swarm": "reproduced"}, "tie"),
+        ({"": "fragile"}, "fragile"),
+        ({"swarm": "reproduced"}, "not testable"),
     ],
 )
-def test_the_headline_is_the_verdict_on_paper_and_never_the_best_of_three(table, expected):
-    assert claims.headline(table) == expected
+def test_the_headline_is_the_verdict_on_paper_and_never_the_best_of_three(verdicts, expected):
+    rows = pd.DataFrame({"setting": verdicts.keys(), "judged": verdicts.values(), "kind": "statement"})
+    assert claims.headline(rows) == expected
+    assert claims.headline(rows.assign(kind="calibrated")) == "no verdict"
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ def answered(**given):
 
 def test_answers_reach_the_probe_which_drives_only_what_depends_on_them(monkeypatch):
     asked = []
-    monkeypatch.setattr(probe, "probe", lambda world, parts: asked.append((world, parts)) or [])
+    monkeypatch.setattr(probe, "probe", lambda world, parts: asked.append((world, parts)) or {})
     flips.flips(answered(friction=[0.11], poles=[42.0], sweep=[4.0, 160.0, 70.0]))
     flips.flips(answered(brake_sweep=[3.0, 100.0, 20.0], r_brake=[5.0, 4.0], ndi_search=["swarm"]))
     flips.flips(answered(r_loss=[10.0], r_brake=[2.0, 5.0]))
@@ -40,18 +40,18 @@ def test_each_question_sets_what_there_is():
     known = {field.name: field.default for field in fields(ProbeSetup)} | {"profile": "cone"}
     for target in {target for question in flips.load().values() for target in question.sets} - {"column"}:
         setup({target: known.get(target, 0.5)}).car()
-    with pytest.raises(InputError, match="which nothing has"):
+    with pytest.raises(InputError, match="is no choice of the probe"):
         setup({"pid:gain": 1.0})
 
 
 def test_which_verdicts_flip(monkeypatch, capsys, tmp_path):
     """The error of NDI on T3 is set to nearly zero; other verdicts stay."""
-    metrics = dict(Nominal().evidence("paper").metrics)
-    rows = [(*key, value) for key, value in metrics.items() if key[0] == "curve_entry_T3"]
+    metrics = Nominal().evidence("paper").metrics
+    rows = {key: value for key, value in metrics.items() if key[0] == "curve_entry_T3"}
     monkeypatch.setattr(probe, "probe", lambda world, parts: rows)
     same = flips.flips(answered(sweep=[3.0, 150.0, 40.0])).set_index("id")
     assert (same["before"] == same["after"]).all() and {"C05", "C20", "C31"} <= set(same.index)
-    rows[:] = [(*row[:3], 1e-5) if row[1:3] == ("ndi", "rmse_y") else row for row in rows]
+    rows["curve_entry_T3", "ndi", "rmse_y"] = 1e-5
     changed = flips.flips(answered(sweep=[3.0, 150.0, 40.0])).set_index("id")
     assert changed.loc["C05", ["before", "after"]].tolist() == ["reproduced", "not reproduced"]
     assert changed.loc["C18", ["before", "after"]].tolist() == ["reproduced", "reproduced"]

@@ -1,4 +1,4 @@
-"""The bound of the lateral error behind sensors: against the loop put together anew, and what makes it smaller."""
+"""The bound of the lateral error with sensors: against an independent closed loop, and better sensors."""
 
 import numpy as np
 import pytest
@@ -13,9 +13,9 @@ WALKS = (1000.0, 50.0)
 
 
 def loop_of(of, wanted):
-    """Variance of the displacement, of its filter's error and of the change of torque under a feedback, in units.
+    """Variances of the displacement, of the error of its estimate and of the change of torque under a feedback.
 
-    Guesses and their errors, of which the torques have none, are one linear system.
+    Estimates and their errors (the torques have none) are one linear system, in the units of `of`.
     """
     n, m = len(of.a), bound.TORQUE
     p = np.zeros((n, n))
@@ -32,7 +32,6 @@ def loop_of(of, wanted):
 
 
 def test_a_loop_has_the_stated_error_and_no_other_feedback_is_better():
-    """The cost is the error squared plus the weighted change squared."""
     of, weight = bound.system(V, LOOP, 280 / 3.6, WALKS), 3e-6
     stated, known, torque = bound.at_weight(of, weight)
     wanted = bound.feedback(of, weight)
@@ -47,7 +46,7 @@ def test_a_loop_has_the_stated_error_and_no_other_feedback_is_better():
     assert bound.limit(V, LOOP, 280 / 3.6, WALKS, activity=torque) == pytest.approx(stated, rel=1e-3)
 
 
-def test_what_is_known_better_can_be_held_better():
+def test_better_sensors_give_a_smaller_bound():
     speed = 400 / 3.6
     usual = bound.limit(V, LOOP, speed, WALKS)
     for better in ({"lateral.noise": 1e-4}, {"gyro.noise": 2e-3}, {"latency.command": 1e-3}, {"lateral.bias": 1e-4}):
@@ -56,10 +55,10 @@ def test_what_is_known_better_can_be_held_better():
     assert bound.limit(V, LOOP, speed, WALKS, activity=500.0) < 0.95 * usual
 
 
-def test_the_bias_of_the_planes_stays_and_that_of_the_place_adds_the_slope_of_the_set_point():
-    """What both planes share cannot be told from a displacement: 0.2 mm, drawn uniformly, mean of two planes."""
+def test_the_bias_of_the_planes_stays_and_the_bias_of_the_position_adds_the_slope_of_the_set_point():
+    """A bias of both planes is indistinguishable from a displacement: 0.2 mm, drawn uniformly, mean of two planes."""
     biased, free = (bound.system(V, load_loop(**{"lateral.bias": bias}), 11.0, WALKS) for bias in (2e-4, 0.0))
     assert bound.at_weight(biased, 1e-6)[1] > 0.95 * 0.2e-3 / np.sqrt(6)
     assert bound.at_weight(free, 1e-6)[1] < 0.03e-3
-    assert bound.with_place(0.0, np.array([1e-4, -1e-4]), LOOP) == pytest.approx(1e-4 / np.sqrt(3))
-    assert bound.with_place(3e-5, np.zeros(4), LOOP) == pytest.approx(3e-5)
+    assert bound.at_true_position(0.0, np.array([1e-4, -1e-4]), LOOP) == pytest.approx(1e-4 / np.sqrt(3))
+    assert bound.at_true_position(3e-5, np.zeros(4), LOOP) == pytest.approx(3e-5)

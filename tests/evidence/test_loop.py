@@ -1,4 +1,4 @@
-"""The table of the closed loop: its rows, their means, and the limit beside them."""
+"""The table of the closed loop: its rows, their means, and the limit next to them."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from railrepro.evidence.uncertainty import loop
 from railrepro.tuning.task import load_task
 
 
-def test_seeds_and_held_out_kinds_are_none_of_tuning():
+def test_tuning_has_neither_the_seeds_nor_the_held_out_runs():
     task = load_task(setting="loop")
     assert not {run.sensors["seed"] for run in task.runs.values()} & set(loop.SEEDS) and len(set(loop.SEEDS)) == 24
     tuned = [(run.scenario.but(end_m=1.0), run.plant, run.irregular) for run in task.runs.values()]
@@ -18,7 +18,7 @@ def test_seeds_and_held_out_kinds_are_none_of_tuning():
 
 
 def test_errors_are_root_mean_squares_over_the_seeds_and_sensors_alone_would_leave_less(monkeypatch):
-    """A bias of .2 mm can be told from the gear, which the contact does not hold in the middle by itself."""
+    """A bias of 0.2 mm is observable: the contact does not centre the running gear by itself."""
     monkeypatch.setattr(loop, "COMPARED", ("ndi_feedforward",))
     monkeypatch.setattr(loop, "SEEDS", (201, 202))
     runs = loop.row("loop", "short", "sine_tracking", {"end_m": 40.0})

@@ -1,4 +1,4 @@
-"""Measured sensitivity against a linearised loop, margins of hand-made curves, and the longest delay."""
+"""Measured sensitivity against a linearised loop, margins of curves made by hand, and the longest delay."""
 
 from types import SimpleNamespace
 
@@ -14,7 +14,7 @@ from railrepro.tuning import margin
 from railrepro.vehicle.parameters import load_vehicle
 
 SPEED = 300.0
-CONE = load_vehicle(**{"contact.profile": "cone"})  # linear, and it does not leave the middle without guidance
+CONE = load_vehicle(**{"contact.profile": "cone"})  # linear, and it stays on the centre line without guidance
 
 
 def test_sensitivity_is_that_of_the_loop_with_the_linear_car():
@@ -33,24 +33,23 @@ def test_sensitivity_is_that_of_the_loop_with_the_linear_car():
     assert np.abs(found - 1).max() > 0.3
 
 
-def test_a_loop_that_is_unstable_has_none():
+def test_an_unstable_loop_has_no_sensitivity():
     assert margin.sensitivity(NDI(150.0, 150.0), 400.0) is None
 
 
-def test_slow_controllers_are_disturbed_at_the_same_place():
+def test_slow_controllers_are_disturbed_at_the_same_point_of_the_loop():
     found = margin.sensitivity(tuned("nmpc", {"solver": "rti"}), SPEED)
-    assert 1.0 < np.abs(found).max() < 4.0
-    assert abs(found[0]) < 0.7  # slow disturbances are countered
+    assert 1.0 < np.abs(found).max() < 4.0 and abs(found[0]) < 0.7  # slow disturbances are reduced
 
 
-def test_margins_of_hand_made_curves():
-    loop = np.array([-0.5, 1j, 3.0])
-    assert margin.disk_margin(1 / (1 + loop)) == pytest.approx(1 / 1.5)  # the gain may double: (2 + a) / (2 - a) = 2
+def test_the_margin_of_a_curve_made_by_hand():
+    sensitivity = 1 / (1 + np.array([-0.5, 1j, 3.0]))
+    assert margin.disk_margin(sensitivity) == pytest.approx(1 / 1.5)  # the gain may double: (2 + a) / (2 - a) = 2
 
 
 @pytest.mark.parametrize(("setting", "perfect"), [("paper", True), ("loop", False)])
 @pytest.mark.parametrize(("breaks_at", "expected"), [(6.5e-3, 6e-3), (1.0, 15e-3), (-1.0, np.nan)])
-def test_the_longest_delay_that_is_survived_is_found(setting, perfect, breaks_at, expected, monkeypatch):
+def test_the_longest_tolerated_delay(setting, perfect, breaks_at, expected, monkeypatch):
     def measured(run, _):
         assert run.sensors.get("perfect", False) == perfect and run.scenario.name == "adhesion_loss"
         return {"failed": run.sensors["inverter.delay"] > breaks_at}, None

@@ -1,4 +1,4 @@
-"""What a probe measures on runs made by hand, and one small probe of the car that answers statements."""
+"""Metrics of a probe on runs made by hand, and one small probe of the car that decides statements."""
 
 from types import SimpleNamespace
 
@@ -14,30 +14,21 @@ from railrepro.tuning import sets
 from railrepro.vehicle.parameters import load_vehicle
 
 
-def torques(later, noise=0.0):
-    """Torque of one run over the way, and of another `later` metres behind, with noise."""
-    p = np.arange(0.0, 650.0, 0.5)
-    scatter = np.random.default_rng(5).normal(0, noise, p.size)
-
-    def shape(place):
-        return np.sin(place / 15 + 4 * np.sin(place / 100))
-
-    pairs = (shape(p), shape(p - later) + scatter)
-    return [pd.DataFrame({"front.p": p, "front.du": du}) for du in pairs]
-
-
 @pytest.mark.parametrize(
     ("later", "noise", "alike"), [(5.0, 0.0, 1.0), (0.75, 0.0, 1.0), (-12.0, 0.0, 1.0), (5.0, 0.9, 0.6)]
 )
-def test_by_how_much_a_torque_comes_later(later, noise, alike):
-    found = probe.torque_shift(*torques(later, noise))
+def test_the_lag_of_a_torque(later, noise, alike):
+    p = np.arange(0.0, 650.0, 0.5)
+    first, second = (np.sin(x / 15 + 4 * np.sin(x / 100)) for x in (p, p - later))
+    second += np.random.default_rng(5).normal(0, noise, p.size)
+    found = probe.torque_shift(*(pd.DataFrame({"front.p": p, "front.du": du}) for du in (first, second)))
     assert found["ndi_later"] == pytest.approx(later, abs=0.26)
     assert found["ndi_alike"] == pytest.approx(alike, abs=0.1)
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_torque_over_the_first_wave_less_that_before(side):
-    """A wave from 20 to 120 m; tracking has no mean over a whole wave."""
+def test_the_torque_over_the_first_wave_less_the_torque_before(side):
+    """A wave from 20 to 120 m, over which the torque of tracking has no mean."""
     p = np.arange(0.0, 400.0)
     reference = side * np.where(p < 20, 0.0, np.sin(2 * np.pi * (p - 19.5) / 100))
     du = np.select([p < 20, p < 120], [30.0, 10.0 + 500 * reference], -1e4)
@@ -72,24 +63,24 @@ def test_an_oscillation_about_the_set_point(gain, noise, growth):
     assert found["error_growth"] == pytest.approx(growth, rel=0.15)
 
 
-def test_where_one_of_the_perturbed_runs_fails_all_have():
+def test_a_mean_fails_if_one_of_the_perturbed_runs_fails():
     found = probe._mean([{"failed": 0.0, "rmse_y": 1.0, "a": 1.0}, {"failed": 0.0, "rmse_y": 3.0, "a": 2.0}])
     assert found == {"failed": 0.0, "rmse_y": 2.0, "a": 1.5}
     assert probe._mean([found, {"failed": 1.0, "a": 2.5}]) == {"failed": 1.0, "a": 2.0}
 
 
-@pytest.mark.parametrize("ladder", [probe.SHARES, (0.0, 0.02, 0.07)])
-def test_the_smallest_fixed_share_is_found_by_halving(ladder, monkeypatch):
-    """Guidance needs 7.5 % of the torque, and a long way has more of the error again; distance rises with the share."""
+@pytest.mark.parametrize(("shares", "enough"), [(probe.SHARES, True), ((0.0, 0.02, 0.07), False)])
+def test_the_smallest_fixed_share_is_found_by_halving(shares, enough, monkeypatch):
+    """Guidance needs 7.5 % of the torque; a large share lengthens the distance, and the error grows again."""
 
     def braked(_world, fixed_share=0.1):
         error = 1.05e-3 if 0.075 <= fixed_share < 0.2 else 5e-3
         return {"rmse_y": error, "stopping_distance": 1000 / (1 - fixed_share)}
 
     monkeypatch.setattr(probe, "_braked", braked)
-    found = probe._allocated(setup({}), ladder)
-    enough = found["rmse_y"] < np.inf
-    assert enough == (ladder is probe.SHARES)
+    monkeypatch.setattr(probe, "SHARES", shares)
+    found = probe._allocated(setup({}))
+    assert enough == (found["rmse_y"] < np.inf)
     assert not enough or 0.075 <= found["share"] < 0.078 and found["stopping_distance"] == pytest.approx(1082, abs=3)
 
 
@@ -101,24 +92,15 @@ def test_a_run_that_does_not_stop_has_no_stopping_distance(speed, failed, way):
     assert found == {"rmse_y": 1e-3 if way == 900.0 else np.inf, "stopping_distance": way}
 
 
-def approaching(adhesion, slip, torque):
-    """4 s at 100 m/s from 240 m on, a row per 10 ms; adhesion of both wheels, slip of the left one."""
-    time = 0.01 * np.arange(400)
-    columns = {
-        "front.p": 240 + 100 * time,
-        "t_s": time,
-        "front.u_d": torque(time),
-        "front_ri.sx": 0.0,
-        "front_le.sx": -slip(time),
-    }
-    return pd.DataFrame(columns | {"front_ri.adhesion": adhesion(time), "front_le.adhesion": adhesion(time)})
-
-
 def macro_slips(adhesion, slip, torque=lambda t: 1000.0 - 200 * (t > 1) - 200 * (t > 2)):
-    return probe.macro_slips(approaching(adhesion, slip, torque), 0.1, 0.02)
+    """4 s at 100 m/s from 240 m on, a row per 10 ms; adhesion of both wheels, slip of the left one."""
+    t = 0.01 * np.arange(400)
+    columns = {"t_s": t, "front.p": 240 + 100 * t, "front.u_d": torque(t), "front_ri.sx": 0.0, "front_le.sx": -slip(t)}
+    columns |= dict.fromkeys(("front_ri.adhesion", "front_le.adhesion"), adhesion(t))
+    return probe.macro_slips(pd.DataFrame(columns), 0.1, 0.02)
 
 
-def test_macro_slips_that_are_left_again_and_approaches():
+def test_macro_slips_with_recovery_and_approaches():
     """Slips of 0.1 s after 0.95 s and of 0.3 s after 1.9 s; the peak is approached before both, and at the end."""
 
     def slip(t):
@@ -126,9 +108,7 @@ def test_macro_slips_that_are_left_again_and_approaches():
 
     found = macro_slips(lambda t: 0.1 * (np.mod(t, 1) > 0.8) * (slip(t) == 0), slip)
     assert found == {"macro_slips": 2, "recovered": 1, "approaches": 3, "approached": 3}
-    held = macro_slips(
-        lambda t: 0.1 * ((np.mod(t, 1) > 0.8) & (t < 1)) * (slip(t) == 0), slip, lambda t: 1000.0 + 0 * t
-    )
+    held = macro_slips(lambda t: 0.1 * ((t > 0.8) & (t < 1)) * (slip(t) == 0), slip, lambda t: 1000.0 + 0 * t)
     assert (held["approaches"], held["approached"]) == (3, 1), "1.7 s are enough for another approach"
     assert held["recovered"] == 0, "the torque does not fall"
 
@@ -153,28 +133,20 @@ def test_excessive_slip_lies_on_the_falling_branch():
 
 
 def test_deviation_in_regular_operation():
-    p = np.array([10.0, 110.0, 129.0, 130.0])
-    rows = pd.DataFrame(
-        {
-            "front.p": p,
-            "front_ri.adhesion": [9.0, 0.05, 0.06, 9.0],
-            "front_le.adhesion": [9.0, 0.04, 0.07, 9.0],
-            "front.f_star": 0.05,
-        }
-    )
+    rows = pd.DataFrame({"front.p": [10.0, 110.0, 129.0, 130.0], "front.f_star": 0.05})
+    rows = rows.assign(**{"front_ri.adhesion": [9.0, 0.05, 0.06, 9.0], "front_le.adhesion": [9.0, 0.04, 0.07, 9.0]})
     assert probe.deviation(rows, 110.0, 130.0) == pytest.approx((0.1 + 0.3) / 2)
     assert probe.deviation(rows[rows["front.p"] < 80], 110.0, 130.0) == np.inf
 
 
-def test_what_doing_nothing_gives():
+def test_a_running_gear_at_y_0():
     found = probe.nothing(load_scenario("sine_tracking").but(end_m=600.0))
     assert found["rmse_y"] == pytest.approx(3e-3 / np.sqrt(2), rel=0.02)
     assert found["largest_error"] == pytest.approx(3e-3, rel=1e-3) and found["shortest_wave"] == 150.0
 
 
-def test_a_probe_answers_statements():
-    rows = probe.probe(setup({}), ["curve", "causes"])
-    evidence = statements.Evidence({row[:3]: row[3] for row in rows})
+def test_a_probe_decides_statements():
+    evidence = statements.Evidence(probe.probe(setup({}), ["curve", "causes"]))
     assert statements.find("C13", evidence).value == pytest.approx(0.26, abs=0.05)  # cones that nearly roll drift less
     assert 1.3 < statements.find("C35", evidence).value < 1.5  # S1002 wheels follow worse than cones
     for identity in ("C04", "C05", "C08", "C09", "C10", "C11", "C12", "C42"):
@@ -184,8 +156,7 @@ def test_a_probe_answers_statements():
         statements.find("C30", evidence)
 
 
-SCALED = {"r", "pole", "frequency", "damping", "horizon_s"}
-"""What sweeps change of a tuned set."""
+SCALED = {"r", "pole", "frequency", "damping", "horizon_s"}  # parameters of a tuned set that sweeps change
 
 
 @pytest.mark.parametrize("setting", COLUMNS)

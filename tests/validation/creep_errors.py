@@ -19,15 +19,15 @@ from railrepro.data import write
 
 LOAD, SHEAR, FRICTION, ROOT = 78.5e3, 8.2e10, 0.3, 5.75e-3
 """Normal force (N), shear modulus (Pa), friction (-), square root of the product of the semi-axes (m)."""
-RATIOS = (0.7, 1.33, 2.0)
+RATIOS = (0.7, 1.33, 2.0)  # of the semi-axes
 SPINS = {0.0: "none", 0.02: "of a cone", 0.08: "of S1002 on dry rail", 0.2: "2.5 times that of S1002"}
-"""Kalker's linear force by spin over three times the friction force, and what rolls like that."""
+"""Kalker's linear force by spin over three times the friction force, and an example."""
 _CASES = list(product((0.1, 0.4, 1.0), np.pi / 4 * np.array([-1, 0, 1, 2])))
-"""Size of the creepages, as their linear force over three times friction, and their direction."""
+"""Size of the creepages, as their linear force over three times the friction force, and their direction."""
 
 
 def errors(ratio: float, spin: float) -> np.ndarray:
-    """Errors of force and moment over friction (and `ROOT`) at creepages of all `_CASES`, shape (12, 2)."""
+    """Compute errors of force and moment over the friction force (and `ROOT`) in all `_CASES`, shape (12, 2)."""
     a, b = ROOT * np.sqrt(ratio), ROOT / np.sqrt(ratio)
     kalker = creep.kalker_coefficients(ratio)
     unit, found = 3 * FRICTION * LOAD / (SHEAR * a * b), []

@@ -1,16 +1,15 @@
-"""The car in the public multibody code Exudyn, written from the mechanics and not from our equations.
+"""The car in the public multibody code Exudyn, derived from the mechanics and not from the equations of the project.
 
 Exudyn gets three floating bodies in inertial coordinates with four wheels on revolute joints, forms their equations of
-motion and integrates them. All forces come from positions and velocities in space: each spring between its two points,
-each wheel as a surface of revolution whose deepest point is searched along the curve of the rail. The rails, the
-contact and the creep forces are its own: the curvature integrated; of a cone Hertz's ellipse from Carlson's integrals
-and Kalker's coefficients from rows of his table, of S1002 the patch of `rolling_contact`; the linear force and moment
-reduced together. Only data are shared with the core: vehicle, profiles, segments of the track, samples of the
-irregularities.
+motion and integrates them. All forces follow from positions and velocities in space: each spring acts between its two
+points, each wheel is a surface of revolution whose deepest point is searched along the rail. Rails, contact and creep
+are independent, too: the track is its integrated curvature; a cone has Hertz's ellipse from Carlson's integrals and
+Kalker's coefficients from his table, S1002 has the patches of `rolling_contact`; linear force and moment are reduced
+together. Shared with the project are data only: vehicle, profiles, segments of the track, samples of irregularities.
 
-One convention decides curves under torque and must be the same in both: a rotational element of the suspension has the
-potential k e^2/2 of the product e of one axis of each body. The pitch reaction (e = x_carrier . z_body) therefore acts
-about z_body x x_carrier, and motor torque times relative roll becomes a yaw torque.
+Both cars need the same convention for torques of the suspension: a rotational element has the potential k e^2/2, where
+e is the product of one axis of each body. So the pitch reaction (e = x_carrier . z_body) acts about
+z_body x x_carrier, and motor torque times relative roll becomes a yaw torque.
 
 Needs the group `bench`. Serves the paper's section Simulation Environment.
 """
@@ -39,23 +38,20 @@ MEASURED = (
     *(f"{gear}.{name}" for name in ("y", "psi_TrAx") for gear in GEARS),
     *(f"{wheel}.{name}" for name in ("w", "N") for wheel in WHEELS),
 )
+_OF_WHEEL = ("N", "adhesion", "sx", "nu_y", "angle", "place", "w", "tau")
 OBSERVED = (
     *MEASURED,
     *(f"{gear}.{name}" for gear in GEARS for name in ("p", "v", "psi_Ax", "psidot_Ax")),
-    *(f"{wheel}.{name}" for wheel in WHEELS for name in ("adhesion", "sx", "nu_y", "angle", "place", "tau")),
+    *(f"{wheel}.{name}" for wheel in WHEELS for name in _OF_WHEEL if name not in ("w", "N")),
 )
-"""Columns of a run: `MEASURED`, what law and metrics need besides, and the place of the rail on the wheel."""
-STEP = 5e-4
-"""Usual step of Exudyn's Runge-Kutta method (s)."""
-WHEEL_MASS = 400.0
-"""Share of a wheel in the mass of a gear (kg); of no influence: the inertias of the gear contain the wheels."""
-CROWN_RADIUS = 0.3
-"""Radius of the rail across (m)."""
-
+"""Columns of a run: `MEASURED`, further inputs of law and metrics, and the position of the rail on the wheel."""
+STEP = 5e-4  # usual step of Exudyn's Runge-Kutta method (s)
+WHEEL_MASS = 400.0  # of the mass of a running gear (kg); without influence, as the inertias of the gear contain wheels
+CROWN_RADIUS = 0.3  # of the rail across (m)
 
 Stiffness = namedtuple("Stiffness", "along across spin turn")
-"""Creep forces over the shear modulus: by creepage along and across (m^2), by spin and as moment by creepage across
-(m^3), moment by spin (m^4)."""
+"""Creep forces over the shear modulus: by creepage along and across (m^2), by spin (m^3); moment by spin (m^4). The
+moment by creepage across is the force by spin."""
 _COLUMNS = ("effective", "rolling", *Stiffness._fields)
 _PLACES = [OBSERVED.index(f"{wheel}.place") for wheel in WHEELS]
 _GAUSS = np.polynomial.legendre.leggauss(4)
@@ -78,16 +74,16 @@ _KALKER = np.array(
 
 
 def patch(vehicle: Vehicle) -> tuple[float, float, np.ndarray]:
-    """Contact ellipse of a cone on the crown of the rail at nominal load: semi-axes a, b along and across (m), and
-    Kalker's coefficients c11, c22, c23, c33 (-), linear in b/a, their inverses a parabola over Poisson's ratio.
+    """Solve the contact of a cone on the crown of the rail at nominal load: semi-axes a, b along and across (m), and
+    Kalker's coefficients c11, c22, c23, c33 (-).
 
-    Source: Hertz's pressure as a layer potential, R_D of Carlson 1979; Kalker 1990, Table E3.
+    The coefficients are linear in b/a, their inverses a parabola over Poisson's ratio. Source: Hertz's pressure as a
+    layer potential, R_D of Carlson 1979; Kalker 1990, Table E3.
     """
     data, along = vehicle.contact, np.cos(vehicle.wheel.cone_angle) / vehicle.wheel.radius
     modulus = data.young / (2 * (1 - data.poisson**2))
 
-    def mismatch(flat):
-        """Of the curvatures along and across the rail of an ellipse with b = flat a."""
+    def mismatch(flat):  # of the curvatures along and across the rail of an ellipse with b = flat a
         return elliprd(0, flat**2, 1) * (1 / CROWN_RADIUS) - elliprd(0, 1, flat**2) * along
 
     flat = brentq(mismatch, 0.5, 1.0, xtol=1e-12)
@@ -99,17 +95,17 @@ def patch(vehicle: Vehicle) -> tuple[float, float, np.ndarray]:
 
 
 def cells_at(wheels: PPoly, places) -> np.ndarray:
-    """Start and coefficients of the cells of some places, shape (n, 25).
+    """Look up start and coefficients of the cells of cubics at some places, shape (n, 25).
 
-    `wheels` on their rails: cubics over the place of the rail on the wheel, outwards of the tape circle (m). Columns:
-    effective radius less the nominal one, rolling radius (m), and `Stiffness` at nominal load.
+    `wheels` has cubics over the position of the rail on the wheel, outwards of the tape circle (m): effective radius
+    less the nominal one, rolling radius (m), and `Stiffness` at nominal load.
     """
     cell = np.clip(np.searchsorted(wheels.x, places, side="right") - 1, 0, len(wheels.x) - 2)
     return np.column_stack([wheels.x[cell], wheels.c[:, cell].transpose(1, 0, 2).reshape(len(cell), -1)])
 
 
 def cones(vehicle: Vehicle) -> PPoly:
-    """Conic wheels on the crown of the rail, see `cells_at`."""
+    """Conical wheels on the crown of the rail, see `cells_at`."""
     a, b, (c11, c22, c23, c33) = patch(vehicle)
     constant = 0.0, vehicle.wheel.radius, c11 * a * b, c22 * a * b, c23 * (a * b) ** 1.5, c33 * (a * b) ** 2
     cubics = np.zeros((4, 1, len(_COLUMNS)))
@@ -125,10 +121,10 @@ def s1002() -> PPoly:
 def creep(
     vehicle: Vehicle, stiffness: Stiffness, load, nu_x, nu_y, spin, slip_speed, rail: str = "dry"
 ) -> tuple[ca.SX, ...]:
-    """Forces along and across the rail (N) and moment about the normal (N m) on a wheel.
+    """Compute the forces along and across the rail (N) and the moment about the normal (N m) on a wheel.
 
-    From its load (N), creepages (-, -, 1/m), slip speed (m/s), and the adhesion set of the rail: the linear force and
-    moment, all reduced as Polach reduces their resultant.
+    `load` is in N, the creepages are in -, -, 1/m, `slip_speed` in m/s; `rail` is the adhesion set. Linear force and
+    moment are reduced in the same ratio.
 
     Source: Kalker 1967 (linear theory); Polach 2005, eqs. (2) and (3); Shen, Hedrick and Elkins 1983 (direction).
     """
@@ -143,9 +139,7 @@ def creep(
 
 
 class Rails:
-    """The track in space by integration of its curvature, with the irregularities of its rails as splines: p_m and the
-    channels of the track centre, zero at both ends.
-    """
+    """The track in space by integration of its curvature, with the irregularities of its rails as splines."""
 
     def __init__(self, alignment: Alignment, irregularities: pd.DataFrame | None = None):
         ends = np.cumsum([0.0, *(segment.length for segment in alignment.segments)])
@@ -179,12 +173,12 @@ class Rails:
         self._stations, self._p = np.array([at[name] for name in _STATION]).T, s
 
     def at(self, s) -> np.ndarray:
-        """Stations before the places s (m), shape (n, len(_STATION)): there the rails are known by derivatives."""
+        """Look up the last stations before the positions s (m), shape (n, len(_STATION))."""
         return self._stations[np.clip(np.searchsorted(self._p, s, side="right") - 1, 0, len(self._p) - 1)]
 
 
 def _frame(get: dict, s: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Position (3) and rotation (3, 3) of the track frame at s, from a station by column."""
+    """Position (3) and rotation (3, 3) of the track frame at s, from the station before it."""
 
     def ahead(d):
         psi, eps = get["psi"] + (get["kappa"] + get["dkappa"] * d / 2) * d, get["eps"] + get["deps"] * d
@@ -199,17 +193,15 @@ def _frame(get: dict, s: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 
 def _contact(vehicle: Vehicle, law: Callable, side: int, get: dict, cell, s, speed, axle, wheel) -> tuple[ca.SX, ...]:
-    """Force and torque about the wheel's centre (in space), normal force (N), adhesion, slip, lateral creepage (-),
-    contact angle (rad), and the place (m).
+    """Contact of a wheel on a line-shaped rail, at the point of the rail that is deepest inside the wheel.
 
-    The wheel, with the effective radius of the place of the rail on it, stands on a line-shaped rail where the rail is
-    deepest inside it. There its normal is at right angles with the rail and meets the axle.
+    Returns force and torque about the wheel's centre (in space), normal force (N), adhesion, slip, lateral creepage
+    (-), contact angle (rad), and the position of the rail on the wheel (m).
     """
     (centre, velocity, turn), data = wheel, vehicle.contact
     half, variable = side * vehicle.gear.contact_base / 2, ca.SX.sym("s")
 
     def rail(place):
-        """Point of the irregular rail at `place`."""
         position, rotation = _frame(get, place)
         d = place - get["p"]
         lateral, vertical, cross, gauge = (
@@ -219,7 +211,6 @@ def _contact(vehicle: Vehicle, law: Callable, side: int, get: dict, cell, s, spe
         return position + rotation @ ca.vertcat(0, half + lateral + side * gauge / 2, vertical + half * cross)
 
     def shape(at):
-        """Columns of `cells_at` at a place."""
         d, cubics = at - cell[0], ca.vertsplit(cell[1:], len(_COLUMNS))
         return ((cubics[0] * d + cubics[1]) * d + cubics[2]) * d + cubics[3]
 
@@ -256,12 +247,8 @@ def _contact(vehicle: Vehicle, law: Callable, side: int, get: dict, cell, s, spe
     return force, ca.cross(arm, force) + moment * normal, load, *found
 
 
-def _beyond(value, clearance):
-    return ca.fmax(value - clearance, 0) + ca.fmin(value + clearance, 0)
-
-
 def _suspension(vehicle: Vehicle, end: int, body, gear) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Force on the gear (the opposite acts on the body), and torques on gear and body about their centres (in space).
+    """Force on the running gear (the opposite acts on the body), and torques on both about their centres (in space).
 
     Springs have the axes of the carrier and act on both bodies at the point of the body.
     """
@@ -269,8 +256,11 @@ def _suspension(vehicle: Vehicle, end: int, body, gear) -> tuple[ca.SX, ca.SX, c
     (x_b, v_b, w_b, r_b), (x_g, v_g, w_g, r_g) = body, gear
     acting = []
 
+    def beyond(value, clearance):
+        return ca.fmax(value - clearance, 0) + ca.fmin(value + clearance, 0)
+
     def spring(lateral, level, law):
-        """Element between points at a lateral position and height above the rails; law(gap, rate) -> force."""
+        """Add an element between points at a lateral position and a height; law(gap, rate) -> force."""
         arm = r_b @ ca.vertcat(end * vehicle.body.gear_spacing / 2, lateral, vehicle.body.cg_height - level)
         lever = x_b + arm - x_g
         gap = lever - r_g @ ca.vertcat(0, lateral, vehicle.wheel.radius - level)
@@ -279,14 +269,14 @@ def _suspension(vehicle: Vehicle, end: int, body, gear) -> tuple[ca.SX, ca.SX, c
 
     def rotational(on_carrier, on_body, stiffness, damping, clearance=0.0):
         sine, axis = ca.dot(r_b[:, on_body], r_g[:, on_carrier]), ca.cross(r_b[:, on_body], r_g[:, on_carrier])
-        torque = (stiffness * _beyond(sine, np.sin(clearance)) + damping * ca.dot(axis, w_b - w_g)) * axis
+        torque = (stiffness * beyond(sine, np.sin(clearance)) + damping * ca.dot(axis, w_b - w_g)) * axis
         acting.append((ca.SX.zeros(3), torque, -torque))
 
     k, c = ca.DM([d.k_x, d.k_y, d.k_z]), ca.DM([d.c_x, d.c_y, d.c_z])
     preload = ca.DM([0, 0, vehicle.body.mass * vehicle.gravity / 4])
     for side in (-1, 1):
         spring(side * d.half_spacing, d.height, lambda gap, rate: preload + k * gap + c * rate)
-    spring(0, d.height, lambda gap, _: ca.vertcat(0, d.bump_stiffness * _beyond(gap[1], d.bump_clearance), 0))
+    spring(0, d.height, lambda gap, _: ca.vertcat(0, d.bump_stiffness * beyond(gap[1], d.bump_clearance), 0))
     along = ca.DM([1, 0, 0])
     spring(0, vehicle.wheel.radius, lambda gap, rate: along * (d.link_stiffness * gap + d.link_damping * rate))
     x, y, z = range(3)
@@ -297,51 +287,50 @@ def _suspension(vehicle: Vehicle, end: int, body, gear) -> tuple[ca.SX, ca.SX, c
 
 
 def forces(vehicle: Vehicle, law: Callable = creep) -> ca.Function:
-    """Everything that acts on the bodies, from their motion in space and a creep law like `creep`.
+    """Build the function of all loads on the bodies, from their motion in space and a creep law like `creep`.
 
     Returns:
         casadi.Function: (motion[18, 3], turns[3, 4], stations[n, 2], cells[25, 4], s[2], tau[4]) -> loads[6, 7], s[2],
-        observed. Motion of body, front and rear gear: position, velocity, angular velocity, rotation by columns; turns:
-        angular velocity of the wheels; stations and s of the gears, s a guess nearby; cells of `cells_at`; loads on
-        body, gears, wheels: force and torque about the centre; observed: `OBSERVED`.
+        `OBSERVED`. motion: position, velocity, angular velocity, rotation by columns of body and both running gears;
+        turns: angular velocities of the wheels; stations and s of the running gears, s a guess nearby; cells as of
+        `cells_at`; loads: force and torque about the centre of body, running gears, wheels.
     """
     motion, turns = ca.SX.sym("motion", 18, 3), ca.SX.sym("turns", 3, 4)
     stations, guess, tau = ca.SX.sym("stations", len(_STATION), 2), ca.SX.sym("s", 2), ca.SX.sym("tau", 4)
     cells = ca.SX.sym("cells", 1 + 4 * len(_COLUMNS), 4)
     parts = [(*ca.vertsplit(motion[:9, i], 3), ca.reshape(motion[9:, i], 3, 3)) for i in range(3)]
     loads = [ca.SX.zeros(6) for _ in range(7)]
-    places, lateral, yaw, spins, normals, of_gears, of_wheels = [], [], [], [], [], [], []
-    for g, end in enumerate((1, -1)):
+    seen = {}
+    for g, (name, end) in enumerate(zip(GEARS, (1, -1), strict=True)):
         gear, s = parts[1 + g], guess[g]
         get = dict(zip(_STATION, ca.vertsplit(stations[:, g]), strict=True))
         for _ in range(3):
             position, rotation = _frame(get, s)
             s += ca.dot(rotation[:, 0], gear[0] - position)
         position, rotation = _frame(get, s)
-        relative, axle = rotation.T @ gear[3], gear[3][:, 1]
-        places.append(s)
-        lateral.append(ca.dot(rotation[:, 1], gear[0] - position))
-        yaw.append(ca.atan2(relative[1, 0], relative[0, 0]))
-        speed, heading = ca.dot(rotation[:, 0], gear[1]), ca.atan2(gear[3][1, 0], gear[3][0, 0])
-        of_gears += [s, speed, heading, ca.dot(gear[2], rotation[:, 2])]
+        relative, axle, speed = rotation.T @ gear[3], gear[3][:, 1], ca.dot(rotation[:, 0], gear[1])
+        seen |= {f"{name}.p": s, f"{name}.v": speed, f"{name}.y": ca.dot(rotation[:, 1], gear[0] - position)}
+        seen[f"{name}.psi_TrAx"] = ca.atan2(relative[1, 0], relative[0, 0])
+        seen[f"{name}.psi_Ax"] = ca.atan2(gear[3][1, 0], gear[3][0, 0])
+        seen[f"{name}.psidot_Ax"] = ca.dot(gear[2], rotation[:, 2])
         force, on_gear, on_body = _suspension(vehicle, end, parts[0], gear)
         loads[0] -= ca.vertcat(force, -on_body)
         loads[1 + g] += ca.vertcat(force, on_gear)
         for i, side in ((2 * g, -1), (2 * g + 1, 1)):
             arm = side * vehicle.gear.contact_base / 2 * axle
             wheel = gear[0] + arm, gear[1] + ca.cross(gear[2], arm), turns[:, i]
-            force, torque, normal, *more = _contact(vehicle, law, side, get, cells[:, i], s, speed, axle, wheel)
+            force, torque, *found = _contact(vehicle, law, side, get, cells[:, i], s, speed, axle, wheel)
             loads[3 + i] += ca.vertcat(force, torque - tau[i] * axle)
             loads[1 + g] += ca.vertcat(0, 0, 0, tau[i] * axle)
-            spins, normals = [*spins, -ca.dot(axle, turns[:, i])], [*normals, normal]
-            of_wheels += [*more, tau[i]]
-    observed = ca.vertcat(*lateral, *yaw, *spins, *normals, *of_gears, *of_wheels)
-    results = [ca.densify(ca.horzcat(*loads)), ca.vertcat(*places), observed]
-    return ca.Function("space_forces", [motion, turns, stations, cells, guess, tau], results, {"cse": True})
+            found += [-ca.dot(axle, turns[:, i]), tau[i]]
+            seen |= {f"{WHEELS[i]}.{key}": value for key, value in zip(_OF_WHEEL, found, strict=True)}
+    reached, observed = ca.vertcat(seen["front.p"], seen["rear.p"]), ca.vertcat(*(seen[name] for name in OBSERVED))
+    inputs = [motion, turns, stations, cells, guess, tau]
+    return ca.Function("space_forces", inputs, [ca.densify(ca.horzcat(*loads)), reached, observed], {"cse": True})
 
 
 class ExudynCar:
-    """The car in Exudyn: bodies, joints and loads by user functions; starts rolling with the front gear at s = 0."""
+    """The car in Exudyn, with loads by user functions; it starts to roll with the front running gear at s = 0."""
 
     def __init__(
         self, vehicle: Vehicle, rails: Rails, speed: float, law: Callable = creep, wheels: PPoly | None = None
@@ -377,9 +366,9 @@ class ExudynCar:
         self._mbs.Assemble()
 
     def _floating(self, vehicle: Vehicle, start, mass, inertia, spins) -> list:
-        """A rigid body on six joints to the ground and its wheels on revolute joints; their markers.
+        """Add a rigid body on six joints to the ground with wheels on revolute joints; returns their markers.
 
-        It starts at x and z (m) with a speed along x (m/s).
+        `start` is x and z (m) and the speed along x (m/s).
         """
         exu, joint, wheel, n = self._exu, self._exu.JointType, vehicle.wheel, 6 + len(spins)
         ends = np.array([-1, 1]) * vehicle.gear.contact_base / 2
@@ -406,7 +395,7 @@ class ExudynCar:
         return [self._mbs.AddMarker(marker(objectNumber=number, linkNumber=link)) for link in range(5, n)]
 
     def _load(self, number: int, first: int) -> Callable:
-        """User function of a force or torque; that of the first load evaluates all."""
+        """User function of a force or torque; the first one evaluates all loads."""
 
         def load(_mbs, time, _vector):
             if number == first == 0:
@@ -427,10 +416,9 @@ class ExudynCar:
         self._loads = loads.reshape(7, 6).tolist()
 
     def run(self, law: Callable, cycles: int, step: float = STEP) -> pd.DataFrame:
-        """Drive under law(number of the control cycle, observed) -> torque commands (4), each held for a cycle, until
-        that gives None.
+        """Drive under law(number of the control cycle, observed) -> torque commands (4) for a cycle, or None to end.
 
-        A control cycle has a whole number of steps. One row per cycle, columns `OBSERVED` (SI).
+        A control cycle has a whole number of steps. Returns one row per cycle, columns `OBSERVED` (SI).
         """
         self._command, self._before, self._since = np.zeros(4), np.zeros(4), 0.0
         per_cycle, log, count = round(CONTROL_PERIOD / step), [], 0
@@ -450,7 +438,7 @@ class ExudynCar:
                 if command is None:
                     return False
                 self._command = np.asarray(command)
-            # A step has one station, that of its middle: a kink of the track then comes neither early nor late.
+            # A step has the station of its middle, so that a kink of the track comes neither early nor late.
             self._stations[:] = self._rails.at(self._s + advance / 2).ravel()
             count += 1
             return True

@@ -1,10 +1,10 @@
-"""The peers of our recursion on the same problem: Ipopt, and sequential quadratic programming with qrqp.
+"""Peers of the recursion on the same problem: Ipopt, and sequential quadratic programming with qrqp.
 
 Both get the nonlinear program of `solvers.ipopt` with its functions as compiled C, the Hessian of the costs, the same
-start (the solution before, one sample later) and tolerances that lead to the same optimum, which `compare` measures.
-What is timed is one call without Python objects in between, of the processor, each problem several times; the least
-counts. `python tests/validation/peers.py` writes data/results/peer_times.csv. Serves the paper's section Evaluation of
-Lateral Control (computation times).
+start (the last solution, one sample later) and tolerances that lead to the same optimum, which `compare` measures. One
+call without Python objects in between is timed on the processor, several times; the least time counts.
+`python tests/validation/peers.py` writes data/results/peer_times.csv. Serves the paper's section Evaluation of Lateral
+Control (computation times).
 """
 
 from __future__ import annotations
@@ -34,22 +34,19 @@ from railrepro.model.control_model import STATES
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 OURS = "recursion"
-SAME = 1e-5
-"""Plans are the same when no torque differs by more than this part of the torque limit."""
+SAME = 1e-5  # plans are the same if no torque differs by more, relative to the torque limit
 _QUIET = {"print_time": False, "error_on_fail": False, "calc_lam_p": False}
 _IPOPT = {"ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-9, "ipopt.bound_relax_factor": 0.0}
 _SQP = {"print_header": False, "print_iteration": False, "print_status": False}
 _SQP |= {"tol_pr": 1e-8, "tol_du": 1e-6, "max_iter": 20, "qpsol": "qrqp"}
 _SQP |= {"qpsol_options": {"error_on_fail": False, "print_iter": False, "print_header": False, "print_info": False}}
-PEERS = {"ipopt": ("ipopt", _QUIET | _IPOPT), "sqp_qrqp": ("sqpmethod", _QUIET | _SQP)}
-"""Plugin and options of each peer inside CasADi."""
-_REGULAR = {"ipopt": 0.0, "sqp_qrqp": 1e-6}
-"""Curvature that is added to what has none, which qrqp needs; the optimum is not moved by it."""
+PEERS = {"ipopt": ("ipopt", _QUIET | _IPOPT), "sqp_qrqp": ("sqpmethod", _QUIET | _SQP)}  # plugins of CasADi, options
+_REGULAR = {"ipopt": 0.0, "sqp_qrqp": 1e-6}  # added curvature, which qrqp needs; it does not move the optimum
 _N, _DYNAMICS = len(STATES), problem.dynamics
 
 
 def _dynamics(*model: str) -> ca.Function:
-    """`problem.dynamics`, called in the C and not written out for every stage; only x and du have derivatives."""
+    """`problem.dynamics` as a C function and not inlined at every stage; only x and du have derivatives."""
     step = _DYNAMICS(*model)
     given = step.sx_in()
     following, *_ = step(*given[:-1], 1)
@@ -58,7 +55,7 @@ def _dynamics(*model: str) -> ca.Function:
 
 
 def _derivatives(program: dict, function: ca.Function, regular: float) -> ca.Function:
-    """A function that a plugin asks for, with the Hessian of the costs in place of that of the Lagrangian."""
+    """A function that a plugin needs, with the Hessian of the costs in place of the Hessian of the Lagrangian."""
     x, p, f, g = (program[name] for name in "xpfg")
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", g.numel())
     hessian = ca.triu(lam_f * ca.hessian(f, x)[0] + regular * ca.DM.eye(x.numel()))
@@ -71,7 +68,7 @@ def _derivatives(program: dict, function: ca.Function, regular: float) -> ca.Fun
 
 @lru_cache
 def solver(name: str, settings: MPCSettings) -> ca.Function:
-    """A peer on the problem of some settings, its functions compiled."""
+    """Make a peer for the problem of some settings, with compiled functions."""
     plugin, options = PEERS[name]
     with mock.patch.object(problem, "dynamics", _dynamics):
         program = ipopt.program.__wrapped__(settings.variant, settings.discretisation, settings.steps)
@@ -86,7 +83,7 @@ def solver(name: str, settings: MPCSettings) -> ca.Function:
 
 
 def _prepare(given: dict, found: dict, of: Problem, started: bool) -> None:
-    """Put the data of a problem and the solution before, one sample later, in place."""
+    """Write the data of a problem and the last solution, one sample later, into the arguments."""
     steps, x_d = of.settings.steps, of.ahead.x_d
     states, torques, slacks = np.split(np.arange(given["x0"].size), [_N * (steps + 1), _N * (steps + 1) + steps])
     states, first = states.reshape(-1, _N), (of.x_hat - x_d[0]) / SCALE
@@ -105,15 +102,14 @@ def _prepare(given: dict, found: dict, of: Problem, started: bool) -> None:
 
 
 def solve_all(name: str, recording: speed.Recording) -> tuple[np.ndarray, np.ndarray]:
-    """Torques (n, L) (N m) of a peer on the problems of a recording in turn, and times of the processor (n,) (s)."""
+    """Solve the problems of a recording in turn by a peer: torques (n, L) (N m) and processor times (n,) (s)."""
     function, plans, seconds, started = solver(name, recording.problems[0].settings), [], [], False
     buffer, call = function.buffer()
     given = {key: np.zeros(function.nnz_in(key)) for key in function.name_in()}
     found = {key: np.zeros(function.nnz_out(key)) for key in function.name_out()}
-    for i, array in enumerate(given.values()):
-        buffer.set_arg(i, memoryview(array))
-    for i, array in enumerate(found.values()):
-        buffer.set_res(i, memoryview(array))
+    for arrays, connect in ((given, buffer.set_arg), (found, buffer.set_res)):
+        for i, array in enumerate(arrays.values()):
+            connect(i, memoryview(array))
     for of in recording.problems:
         _prepare(given, found, of, started)
         begin = time.thread_time()
@@ -126,12 +122,12 @@ def solve_all(name: str, recording: speed.Recording) -> tuple[np.ndarray, np.nda
 
 
 def compare(recording: speed.Recording, vehicle: Vehicle, rounds: int = 3) -> pd.DataFrame:
-    """All solvers on one recording, `rounds` times (contract of data/results/peer_times.csv).
+    """Solve one recording by all solvers, `rounds` times: a row of data/results/peer_times.csv per solver.
 
     `error_du` is the largest difference from the torques of Ipopt, relative to the torque limit; `missed` counts the
-    problems where it is above `SAME`.
+    problems with a difference above `SAME`.
     """
-    settings, found = recording.problems[0].settings, {OURS: [], **{name: [] for name in PEERS}}
+    settings, found = recording.problems[0].settings, {name: [] for name in (OURS, *PEERS)}
     for _ in range(rounds):
         found[OURS].append(speed.solve_all("gauss_newton", recording, vehicle)[:2])
         for name in PEERS:
@@ -151,8 +147,8 @@ def compare(recording: speed.Recording, vehicle: Vehicle, rounds: int = 3) -> pd
 def main(count: int = 6) -> None:
     """Compare on the curve entry, print the table and write it.
 
-    The problems are those of the setting `loop`, and of `paper` with the discretisation that the paper has, each with
-    bounds far and near.
+    The problems are those of the setting `loop`, and of `paper` with the discretisation of the paper, each with
+    inactive and active bounds.
     """
     vehicle = load_vehicle()
     tuned = [mpc_settings(parameters("nmpc", name)) for name in ("loop", "paper")]

@@ -1,9 +1,8 @@
-"""Vehicles whose critical speeds other people published, built from our car: a lab wheelset and Cooperrider's bogie.
+"""Vehicles with published critical speeds, made from the project's car: a lab wheelset and Cooperrider's bogie.
 
-Each is the car with data and a contact table of its own, of which some bodies are held or stand on further springs.
-`python tests/validation/published.py` writes data/results/published_vehicles.csv, which `15_car` shows.
-
-Serves the paper's section Simulation Environment.
+Each is the car with other data and its own contact table; some bodies are held or have further springs.
+`python tests/validation/published.py` writes data/results/published_vehicles.csv, which `15_car` shows. Serves the
+paper's section Simulation Environment.
 """
 
 from __future__ import annotations
@@ -25,8 +24,7 @@ from railrepro.evidence.commands import report_errors
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 _LATERAL = ("y", "psi", "phi", "vy", "wz", "wx")
-_PATCH = 1e-4
-"""Semi-axis of a contact so small that spin makes no force (m)."""
+_PATCH = 1e-4  # semi-axis of a contact in which spin gives no force (m)
 _RIGID = {"gear.axle_damping": 1e8, "contact.normal_stiffness": 1e13, "wheel.spin_inertia": 1e-3}
 _RIGID |= {"wheel.diametral_inertia": 1e-4, "adhesion.dry.k_a": 1.0, "adhesion.dry.k_s": 1.0, "adhesion.dry.mu0": 1.0}
 _RIGID |= {"suspension.c_x": 0.0, "suspension.c_y": 0.0, "suspension.c_z": 0.0}
@@ -35,32 +33,32 @@ _RIGID |= {"suspension.antiroll_stiffness": 0.0, "suspension.antiroll_damping": 
 
 
 def lateral(car: SteppedCar, *bodies: str) -> pd.DataFrame:
-    """State matrix of the lateral motion of some bodies (`equations.BODIES`) of a car, all else held."""
+    """Linearise the lateral motion of some bodies (`equations.BODIES`) of a car, the others held: state matrix."""
     spins = [f"w.{wheel}" for wheel in WHEELS if wheel.split("_")[0] in bodies]
     names = [f"{body}.{name}" for body in bodies for name in _LATERAL] + spins
     return car.linearise().a.loc[names, names]
 
 
 def hunting(matrix) -> tuple[float, float]:
-    """Growth rate (1/s) and frequency (rad/s) of the least damped oscillation of dx/dt = matrix x."""
+    """Find growth rate (1/s) and frequency (rad/s) of the least damped oscillation of dx/dt = matrix x."""
     poles = np.linalg.eigvals(np.asarray(matrix))
     worst = max(poles[poles.imag > 1.0], key=np.real)
     return float(worst.real), float(worst.imag)
 
 
 def critical_speed(matrix: Callable[[float], np.ndarray], low: float, high: float) -> tuple[float, float]:
-    """Speed between `low` and `high` (m/s) at which an oscillation of dx/dt = matrix(speed) x starts to grow, and its
-    angular frequency (rad/s).
-    """
+    """Find the speed between `low` and `high` (m/s) at which an oscillation of dx/dt = matrix(speed) x starts to grow,
+    and its frequency (rad/s)."""
     speed = brentq(lambda v: hunting(matrix(v))[0], low, high, xtol=1e-5)
     return speed, hunting(matrix(speed))[1]
 
 
 def profile(vehicle: Vehicle, angle, rolling_radius, creep: float) -> ContactTable:
-    """Contact table with a profile and creep stiffness of one's own, without forces and moments of spin.
+    """Make a contact table from a profile and a creep stiffness, without forces and moments by spin.
 
-    Tangent `angle` of the contact angle (-), a straight line, and rolling radius less the nominal one (m) over the
-    shift (m) towards the flange; `creep` stiffness of a wheel at nominal load, longitudinal and lateral (N).
+    `angle` is the tangent of the contact angle (-), a straight line, `rolling_radius` the rolling radius less the
+    nominal one (m), both functions of the shift (m) towards the flange. `creep` is the stiffness of a wheel at nominal
+    load, longitudinal and lateral (N).
     """
     shift = (np.arange(-100, 101) - 0.25) * 1e-4  # zero inside a cell, where slopes have one value
     climb = shift * (angle(shift) + angle(0.0)) / 2
@@ -85,10 +83,9 @@ rail profile (m), contact angle (rad), creep coefficient of a wheel (N). Source:
 def lab_equations(speed: float, roll: float = 1.0) -> np.ndarray:
     """State matrix of the lab wheelset at a speed (m/s): y, psi and their rates, shape (4, 4).
 
-    `roll` is 1 as published; 1 + r0 delta0/d when the wheels, r0 below the axle, shift as the wheelset rolls: conicity
-    and lateral creepage grow by it, gravity stiffness and lateral creep damping by its square.
-
-    Source: Moore, EME 134 (University of California, Davis), lab 1, equations of motion.
+    `roll` is 1 as published. With roll of the wheelset it is 1 + r0 delta0/d: conicity and lateral creepage grow by it,
+    gravity stiffness and lateral creep damping by its square. Source: Moore, EME 134 (University of California, Davis),
+    lab 1, equations of motion.
     """
     m, d, r0, k, load, wheel, rail, delta0, f = LAB.values()
     conicity, gravity, inertia = wheel * delta0 / (wheel - rail), 2 * load / (wheel - rail), m * d**2
@@ -98,7 +95,7 @@ def lab_equations(speed: float, roll: float = 1.0) -> np.ndarray:
 
 
 def lab_wheelset(speed: float) -> pd.DataFrame:
-    """State matrix of the lab wheelset at a speed (m/s): the front gear of our car under a held body."""
+    """State matrix of the lab wheelset at a speed (m/s): the front running gear of the car under a held body."""
     m, d, r0, k, load, wheel, rail, delta0, f = LAB.values()
     own = {"body.mass": 2e3, "environment.gravity": 20.0, "gear.mass": m, "gear.inertia_z": m * d**2}
     own |= {"gear.inertia_x": 1e-3, "gear.contact_base": 2 * d, "wheel.radius": r0, "contact.nominal_load": load}
@@ -117,12 +114,11 @@ yaw (N m/rad), dampers vertical and lateral (N s/m)."""
 
 
 def cooperrider_bogie(speed: float) -> pd.DataFrame:
-    """State matrix of Cooperrider's bogie at a speed (m/s), on level contacts with radii that differ, as published.
+    """State matrix of Cooperrider's bogie at a speed (m/s), with level contacts, as published.
 
-    The frame is the body of our car, the wheelsets are its running gears. The longitudinal stiffness counts only as
-    f11 d^2 and f11 d lambda, so f22 in its place with d and lambda multiplied by sqrt(f11/f22) gives the same
-    equations; they do not depend on which of both a creep law takes at rest, where the creepage has no direction. The
-    secondary springs and dampers go to a car body that stands still.
+    The frame is the body of the car, the wheelsets are its running gears. The longitudinal creep stiffness enters only
+    as f11 d^2 and f11 d lambda, so f22 in its place with d and lambda multiplied by sqrt(f11/f22) gives the same
+    equations. The secondary springs and dampers go to a car body at rest.
 
     Source: Cooperrider 1972; numbers as in Kaas-Petersen 1986 and the examples of bifurcation.de.
     """
@@ -153,26 +149,24 @@ def cooperrider_bogie(speed: float) -> pd.DataFrame:
 
 
 def comparison() -> pd.DataFrame:
-    """Published quantity, ours, and the limit of their relative difference, which was fixed before the runs."""
+    """Compare published quantities with those of the car; the limits of relative differences were fixed beforehand."""
     roll = 1 + LAB["r0"] * LAB["delta0"] / LAB["d"]
-    printed, rolling = (
-        critical_speed(lambda speed, roll=each: lab_equations(speed, roll), 30.0, 80.0) for each in (1.0, roll)
-    )
+    printed = critical_speed(lab_equations, 30.0, 80.0)
+    rolling = critical_speed(lambda speed: lab_equations(speed, roll), 30.0, 80.0)
     ours, bogie = critical_speed(lab_wheelset, 45.0, 55.0), critical_speed(cooperrider_bogie, 60.0, 75.0)
-    hopf = 68.66  # bifurcation.de
     rows = [
         ("lab wheelset, with roll", "critical speed (m/s)", rolling[0], ours[0], 2e-3),
         ("lab wheelset, with roll", "frequency (rad/s)", rolling[1], ours[1], 2e-3),
         ("lab wheelset, as published", "critical speed (m/s)", printed[0], ours[0], 1.5e-2),
         ("lab wheelset, as published", "frequency (rad/s)", printed[1], ours[1], 1.5e-2),
-        ("Cooperrider's bogie", "Hopf speed (m/s)", hopf, bogie[0], 5e-3),
+        ("Cooperrider's bogie", "Hopf speed (m/s)", 68.66, bogie[0], 5e-3),  # bifurcation.de
     ]
     return pd.DataFrame(rows, columns=["vehicle", "quantity", "published", "ours", "limit"])
 
 
 def main() -> None:
-    """Compare all of them, print the table and write it."""
-    warnings.simplefilter("ignore", UserWarning)  # vehicles of others have bodies that ours never has
+    """Compare all vehicles, print the table and write it."""
+    warnings.simplefilter("ignore", UserWarning)  # their data are out of the range of the project's car
     table = comparison()
     write(paths.product("data/results/published_vehicles.csv"), table.to_csv(index=False, float_format="%.17g"))
     print(table.to_string(index=False))

@@ -1,10 +1,10 @@
-"""Six quadratic problems of the predictive controllers as files, and solvers of others on them.
+"""Six quadratic problems of the predictive controllers as files, and other solvers on them.
 
 `python tests/validation/quadratic_problems.py --write` drives the scenarios and writes the problems with their optimum
-into data/problems, whose README says what a file holds. Without `--write` all solvers that are installed solve these
-files (PIQP and Clarabel come with the group `bench`); their table goes to data/results/qp_times.csv. The settings stand
-here and not in data/tuned, so that the problems stay when controllers are tuned again. Serves the paper's section
-Evaluation of Lateral Control (computation times).
+into data/problems, whose README describes a file. Without `--write` all installed solvers solve these files (PIQP and
+Clarabel come with the group `bench`); their table goes to data/results/qp_times.csv. Settings are given here and not in
+data/tuned, so that the problems do not change with the tuning. Serves the paper's section Evaluation of Lateral Control
+(computation times).
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import ctypes
 import io
 import sys
 import time
+import timeit
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
@@ -36,30 +37,22 @@ from railrepro.vehicle.parameters import load_vehicle
 
 FOLDER, TIMES = "data/problems", "data/results/qp_times.csv"
 SETTINGS = MPCSettings((0.0, 0.0, 0.0, 1e-4, 1.0, 2e-3), r=1e-12, q_terminal=100.0, period=0.005)
-"""Of all six but for the number of steps and the lateral bound; near the tuned sets of the setting "paper"."""
+"""Settings of all six, except for steps and lateral bound; near the tuned sets of the setting "paper"."""
 OURS = "recursion"
 _N = len(STATES)
 
 
 @dataclass(frozen=True)
 class Case:
-    """One of the problems: the last sample of a controller in a scenario that ends early.
+    """One of the problems: the last sample of a controller in a scenario that ends early."""
 
-    Attributes:
-        controller (type): `NMPC` as real-time iteration, or `LTVMPC`.
-        scenario, end_m (str, float): Name in data/scenarios.toml, and where it ends (m).
-        steps (int): Time steps of the horizon.
-        before (int): Samples that the controller solved before; 0 is its first one, about the desired states.
-        torque_limit, lateral_bound (float): Bounds of |du| (N m) and, soft, of |y| (m).
-    """
-
-    controller: type[PredictiveController]
+    controller: type[PredictiveController]  # NMPC as real-time iteration, or LTVMPC
     scenario: str
     end_m: float
     steps: int
-    before: int
-    torque_limit: float = 4000.0
-    lateral_bound: float = SETTINGS.lateral_bound
+    before: int  # samples that the controller solved before; 0 is its first one, about the desired states
+    torque_limit: float = 4000.0  # N m
+    lateral_bound: float = SETTINGS.lateral_bound  # m, soft
 
 
 CASES = {
@@ -70,33 +63,32 @@ CASES = {
     "ltv_short_bounds": Case(LTVMPC, "braking", 185.0, 10, 20, 50.0, 2.5e-3),
     "ltv_first": Case(LTVMPC, "sine_tracking", 1.0, 30, 0),
 }
-"""Name of a file in data/problems -> its case."""
 
 
 def pose(case: Case) -> PredictiveController:
-    """Drive the scenario under NMPC, and have the controller of a case take in the last sample, without solving it."""
+    """Drive the scenario under NMPC, and give the controller of a case the last sample without solving it."""
     vehicle, settings = load_vehicle(), replace(SETTINGS, steps=case.steps)
     scenario = scenarios.load_scenario(case.scenario).but(end_m=case.end_m)
     run = simulate.run(scenario, lambda *of: speed.Recorder(*of, settings))
     *past, last = run.controllers[0].problems[-1 - case.before :]
     limited = replace(vehicle, drive=replace(vehicle.drive, torque_limit=case.torque_limit))
     options = {"solver": "rti"} if case.controller is NMPC else {}
-    own = case.controller(limited, scenario.route(), 0, replace(settings, lateral_bound=case.lateral_bound), **options)
-    for sample in past:
-        own.plan(sample.x_hat, sample.u_d)
-    own.horizon.library.planner_begin(
-        own.horizon.pointer, ctypes.c_void_p(last.x_hat.ctypes.data), ctypes.c_double(last.u_d)
+    controller = case.controller(
+        limited, scenario.route(), 0, replace(settings, lateral_bound=case.lateral_bound), **options
     )
-    return own
+    for sample in past:
+        controller.plan(sample.x_hat, sample.u_d)
+    horizon, x_hat = controller.horizon, ctypes.c_void_p(last.x_hat.ctypes.data)
+    horizon.library.planner_begin(horizon.pointer, x_hat, ctypes.c_double(last.u_d))
+    return controller
 
 
-def linearised(own: PredictiveController) -> dict[str, np.ndarray]:
-    """The problem that a controller has taken in, as the arrays P, q, A, l, u of its file, dense.
+def linearised(controller: PredictiveController) -> dict[str, np.ndarray]:
+    """Linearise the nonlinear program of `solvers.ipopt` along the trajectory of a controller: P, q, A, l, u, dense.
 
-    It is the nonlinear program of `solvers.ipopt`, which states the costs once, linearised along the trajectory of the
-    controller; unknowns and units are those of that program.
+    Unknowns and units are those of that program.
     """
-    h, s = own.horizon, own.settings
+    h, s = controller.horizon, controller.settings
     program = ipopt.program(s.variant, s.discretisation, s.steps)
     x, p, f, g = (program[name] for name in "xpfg")
     hessian, slope = ca.hessian(f, x)
@@ -118,9 +110,9 @@ def linearised(own: PredictiveController) -> dict[str, np.ndarray]:
     }
 
 
-def solution(own: PredictiveController) -> np.ndarray:
-    """Optimum of the problem by our recursion, as the unknowns of `linearised`."""
-    h, s = own.horizon, own.settings
+def solution(controller: PredictiveController) -> np.ndarray:
+    """Solve the problem by the recursion of the project, for the unknowns of `linearised`."""
+    h, s = controller.horizon, controller.settings
     if h.library.horizon_solve(h.pointer):
         raise ArithmeticError("the recursion found no solution")
     x = h.x + h.stages["dx"]
@@ -129,12 +121,12 @@ def solution(own: PredictiveController) -> np.ndarray:
 
 
 def posed(name: str) -> dict[str, np.ndarray]:
-    """Arrays of a file, P and A as the three arrays of a compressed sparse column matrix each."""
-    own = pose(CASES[name])
-    found = linearised(own)
-    x = solution(own)
-    packed = {"x": x, "objective": np.array(x @ found["P"] @ x / 2 + found["q"] @ x)}
-    for key, value in found.items():
+    """Compute the arrays of a file, P and A as the three arrays of a compressed sparse column matrix each."""
+    controller = pose(CASES[name])
+    arrays = linearised(controller)
+    x = solution(controller)
+    packed = {"x": x, "objective": np.array(x @ arrays["P"] @ x / 2 + arrays["q"] @ x)}
+    for key, value in arrays.items():
         if value.ndim == 1:
             packed[key] = value
         else:
@@ -144,20 +136,20 @@ def posed(name: str) -> dict[str, np.ndarray]:
 
 
 def read(name: str) -> dict[str, np.ndarray]:
-    """Arrays of a file of data/problems."""
+    """Read the arrays of a file of data/problems."""
     with np.load(paths.source(f"{FOLDER}/{name}.npz")) as file:
         return dict(file)
 
 
 def matrices(of: dict[str, np.ndarray]) -> tuple[sparse.csc_matrix, sparse.csc_matrix]:
-    """P (n, n) and A (m, n) of a problem as sparse matrices."""
+    """Make the sparse matrices P (n, n) and A (m, n) of a problem."""
     shapes = {"P": (of["q"].size, of["q"].size), "A": (of["l"].size, of["q"].size)}
     parts = {key: tuple(of[f"{key}_{part}"] for part in ("data", "indices", "indptr")) for key in shapes}
     return sparse.csc_matrix(parts["P"], shapes["P"]), sparse.csc_matrix(parts["A"], shapes["A"])
 
 
 def condensed(of: dict[str, np.ndarray]) -> tuple[np.ndarray, ...]:
-    """The problem without states, dense: cost P, q, inequalities A, l, u; matrix and vector that give x back."""
+    """Eliminate the states: dense cost P, q, inequalities A, l, u, and the matrix and the vector that give x back."""
     cost, rows = (matrix.toarray() for matrix in matrices(of))
     equal = of["l"] == of["u"]
     n = int(equal.sum())  # states come first, and the equalities determine them
@@ -170,7 +162,7 @@ def condensed(of: dict[str, np.ndarray]) -> tuple[np.ndarray, ...]:
 
 
 def daqp(of: dict[str, np.ndarray]) -> Callable[[], np.ndarray]:
-    """Solve by DAQP (plugin of CasADi), whose Hessian has to be regular: without states, eliminated beforehand."""
+    """Solve by DAQP (plugin of CasADi), which needs a regular Hessian: the states are eliminated beforehand."""
     *of_form, back, given = condensed(of)
     numbers = dict(zip(("h", "g", "a", "lba", "uba"), map(ca.DM, of_form), strict=True))
     dense = {key: ca.Sparsity.dense(*numbers[key].shape) for key in "ha"}
@@ -220,25 +212,20 @@ SOLVERS = {"daqp": daqp, "piqp": piqp, "clarabel": clarabel}
 
 
 def apart(name: str, of: dict[str, np.ndarray], x: np.ndarray) -> tuple[float, float]:
-    """Largest difference of a torque from the stored optimum (N m), and the relative difference of the objective."""
+    """Compare x with the stored optimum: largest difference of a torque (N m), relative one of the objective."""
     first = _N * (CASES[name].steps + 1)
     torques = slice(first, first + CASES[name].steps)
     objective = x @ matrices(of)[0] @ x / 2 + of["q"] @ x
     return UNIT * np.abs(x - of["x"])[torques].max(), abs(objective / of["objective"] - 1)
 
 
-def _least_ms(call: Callable[[], object], rounds: int = 20) -> float:
-    """Least time of the processor of a call (ms)."""
-    times = []
-    for _ in range(rounds):
-        begin = time.process_time()
-        call()
-        times.append(time.process_time() - begin)
-    return 1e3 * min(times)
+def _least_ms(call: Callable[[], object]) -> float:
+    """Least processor time of 20 calls (ms)."""
+    return 1e3 * min(timeit.repeat(call, number=1, repeat=20, timer=time.process_time))
 
 
 def _recursion_ms(name: str) -> float:
-    """As `_least_ms` for our recursion, without active sets to start from."""
+    """Processor time of the recursion (ms), without active sets to start from."""
     horizon = pose(CASES[name]).horizon
 
     def solve() -> None:
@@ -249,31 +236,25 @@ def _recursion_ms(name: str) -> float:
 
 
 def missing() -> list[str]:
-    """Solvers whose package is not installed; DAQP comes with CasADi."""
+    """List the solvers whose package is not installed; DAQP comes with CasADi."""
     return [solver for solver in SOLVERS if solver != "daqp" and not find_spec(solver)]
 
 
 def compare() -> pd.DataFrame:
-    """All installed solvers on the files (contract of data/results/qp_times.csv): one row per problem and solver.
+    """Solve the files by all installed solvers: a row of data/results/qp_times.csv per problem and solver.
 
-    Times are without what may be prepared before a state is measured, for `daqp` without the elimination of the states.
+    Times exclude what may be prepared before a state is measured, for `daqp` also the elimination of the states.
     """
-    rows = []
+    rows, installed = [], [solver for solver in SOLVERS if solver not in missing()]
     for name in CASES:
         of, ours = read(name), _recursion_ms(name)
         rows.append({"problem": name, "solver": OURS, "ms": ours, "ratio_to_ours": 1.0})
-        for solver, make in SOLVERS.items():
-            if solver in missing():
-                continue
-            solve = make(of)
+        for solver in installed:
+            solve = SOLVERS[solver](of)
             difference, objective = apart(name, of, solve())
-            row = {"problem": name, "solver": solver, "ms": _least_ms(solve)}
-            row |= {
-                "ratio_to_ours": row["ms"] / ours,
-                "difference_du_Nm": difference,
-                "difference_objective": objective,
-            }
-            rows.append(row)
+            ms = _least_ms(solve)
+            row = {"problem": name, "solver": solver, "ms": ms, "ratio_to_ours": ms / ours}
+            rows.append(row | {"difference_du_Nm": difference, "difference_objective": objective})
     return pd.DataFrame(rows)
 
 

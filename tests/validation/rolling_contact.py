@@ -1,10 +1,9 @@
-"""Rolling contact of half spaces on squares: where two bodies touch, and the creep forces of a patch as it is.
+"""Rolling contact of half spaces on squares: the area of contact, and the creep forces of the patch.
 
-Nothing of `railrepro.contact` but the profiles is used. Where the core makes an ellipse of the patch and takes Kalker's
-coefficients from his table, here the condition that nothing slides is solved for the tractions of every square, so that
-lobes, their ends and the rolling radius across the patch are in the forces. With friction (`Rolling.load`) it judges
-the creep law of the core. As a script this writes the table beside it (4 minutes), which judges that of the core and
-which the second car reads.
+Of `railrepro.contact` only the profiles are used. Instead of an ellipse with Kalker's coefficients, the tractions of
+every square are solved from the condition that nothing slides, so that lobes, their ends and the rolling radius across
+the patch enter the forces. With friction (`Rolling.load`) this judges the creep law of the project. As a script it
+writes s1002_contact.csv (4 minutes), which judges the contact table of the project and is read by the second car.
 
 Source: Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact, chs. 3 and 4 (linear theory, half spaces);
 Johnson 1985, Contact Mechanics, section 3.6 (displacement under tangential load).
@@ -26,17 +25,13 @@ from railrepro.contact import profiles
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 SHEAR, POISSON = 8.2e10, 0.28  # steel
-SQUARE = 0.5e-3
-"""Side of the squares (m)."""
-_SMOOTHING = 0.03
-"""Weight of the square of the second derivative (1/mm^2) when columns of the table are smoothed."""
-_REACH = 1.3e-4
-"""Distance of the undeformed bodies up to which they may touch (m)."""
+SQUARE = 0.5e-3  # side of the squares (m)
+_SMOOTHING = 0.03  # weight of the squared second derivative when columns of the table are smoothed (1/mm^2)
+_REACH = 1.3e-4  # distance of the undeformed bodies up to which they may touch (m)
 
 
 def _integrals(x, y, sides) -> np.ndarray:
-    """Integrals of y^2/r^3, x^2/r^3 and x y/r^3 over a rectangle, seen from its centre at x, y; their first two sum to
-    that of 1/r."""
+    """Integrals of y^2/r^3, x^2/r^3, x y/r^3 over a rectangle about x, y; the first two sum to that of 1/r."""
     found = np.zeros((3, *np.shape(x)))
     for ends in product((-1, 1), repeat=2):
         u, v = x + ends[0] * sides[0] / 2, y + ends[1] * sides[1] / 2
@@ -46,15 +41,14 @@ def _integrals(x, y, sides) -> np.ndarray:
 
 
 def pressure(gap: np.ndarray, x: np.ndarray, y: np.ndarray, load: float, modulus: float):
-    """Pressure on squares at some distance (m): positive where they touch (Pa)."""
+    """Compute the pressure (Pa) on squares with some gap (m): positive where they touch."""
     touch = gap < np.partition(gap, len(gap) // 3)[len(gap) // 3]
     across, along, _ = _integrals(x[:, None] - x, y[:, None] - y, (SQUARE, SQUARE))
     influence = (across + along) / (np.pi * modulus)
     for _ in range(40):
         inside = np.flatnonzero(touch)
-        of_one, of_gap = np.linalg.solve(
-            influence[np.ix_(inside, inside)], np.stack([inside * 0 + 1, gap[inside]], 1)
-        ).T
+        right = np.stack([inside * 0 + 1, gap[inside]], 1)
+        of_one, of_gap = np.linalg.solve(influence[np.ix_(inside, inside)], right).T
         approach = (load / SQUARE**2 + of_gap.sum()) / of_one.sum()
         found = np.zeros_like(gap)
         found[inside] = approach * of_one - of_gap
@@ -66,16 +60,16 @@ def pressure(gap: np.ndarray, x: np.ndarray, y: np.ndarray, load: float, modulus
 
 
 class Rolling:
-    """Cells of a contact (centres, sides) and the slip that tractions on them make, parts along the rail first.
+    """Cells of a contact (centres, sides) and the slip under tractions on them, components along the rail first.
 
-    What is at a cell was one cell ahead before, and slid meanwhile by the change of its displacement.
+    A particle in a cell was one cell ahead before, and slid by the change of its displacement.
     """
 
     def __init__(self, x, y, sides, shear=SHEAR, poisson=POISSON):
         self.x, self.y, self.sides = x, y, sides
 
         def displacement(ahead):
-            """Displacement under unit tractions, at places ahead of the cells."""
+            """Displacement under unit tractions, at positions ahead of the cells."""
             across, along, mixed = _integrals(x[:, None] + ahead - x, y[:, None] - y, sides)
             one, other = (1 - poisson) * across + along, across + (1 - poisson) * along
             return np.block([[one, poisson * mixed], [poisson * mixed, other]]) / (np.pi * shear)
@@ -83,7 +77,7 @@ class Rolling:
         self.slip = (displacement(0.0) - displacement(sides[0])) / sides[0]
 
     def load(self, bound, longitudinal, lateral, spin):
-        """Force F_x, F_y (N) and moment (N m) by the largest traction (Pa) and the creepages of the cells."""
+        """Compute force F_x, F_y (N) and moment (N m) from the largest traction (Pa) and the creepages of the cells."""
         n, scale = len(self.x), 1 / np.diag(self.slip)
         # A particle slips between two cells: a tenth of a cell ahead makes force and moment reciprocal.
         rigid = np.concatenate([longitudinal + 0 * self.x, lateral + spin * (self.x + 0.1 * self.sides[0])])
@@ -106,11 +100,10 @@ class Rolling:
 
 
 def sticking(x: np.ndarray, y: np.ndarray, slip: np.ndarray, poisson: float) -> np.ndarray:
-    """Forces along and across (m^2) and moment (m^3), over the shear modulus, of a patch on which nothing slides;
-    shape (m, 3).
+    """Compute forces along and across (m^2) and moment (m^3), over the shear modulus, of a patch without sliding.
 
-    From its squares (m), shape (n,), and the rigid slip of the wheel along and across on each, over the speed, in m
-    cases, shape (m, 2, n).
+    x, y: squares (m), shape (n,); slip: rigid slip along and across over the speed in m cases, shape (m, 2, n). Returns
+    shape (m, 3).
     """
     cells = Rolling(x, y, (SQUARE, SQUARE), 1.0, poisson)
     tractions = np.linalg.solve(cells.slip, -slip.reshape(len(slip), -1).T).T.reshape(slip.shape)
@@ -121,7 +114,7 @@ def sticking(x: np.ndarray, y: np.ndarray, slip: np.ndarray, poisson: float) -> 
 
 @lru_cache(maxsize=4)
 def _ellipse(a, b):
-    """Cells of an ellipse and Hertz's pressure on them over its mean."""
+    """Cells of an ellipse, and Hertz's pressure on them up to a factor."""
     count = 20
     sides = 2 * a / count, 2 * b / count
     places = [(np.arange(count) + 0.5) * side - half for side, half in zip(sides, (a, b), strict=True)]
@@ -131,30 +124,28 @@ def _ellipse(a, b):
 
 
 def rolling(creepage, load, a, b, friction):
-    """Force F_x, F_y (N) and moment (N m) on a wheel under longitudinal, lateral (-) and spin creepage (1/m)."""
+    """Compute force F_x, F_y (N) and moment (N m) on a wheel under longitudinal, lateral (-), spin creepage (1/m)."""
     cells, pressure = _ellipse(a, b)
     bound = friction * load * pressure / (pressure.sum() * np.prod(cells.sides))
     return cells.load(bound, creepage[0] - creepage[2] * cells.y, *creepage[1:])
 
 
 class Patch(NamedTuple):
-    """Contact of a wheel at some shift: slope of the resultant (-), rolling radius (m), and creep forces over the shear
-    modulus by longitudinal and lateral creepage (m^2), by spin, which is also the moment by lateral creepage (m^3), and
-    moment by spin (m^4)."""
+    """Contact of a wheel at some shift; forces and moments are over the shear modulus."""
 
-    slope: float
-    rolling: float
-    along: float
-    across: float
-    spin: float
-    turn: float
+    slope: float  # of the resultant (-)
+    rolling: float  # radius (m)
+    along: float  # force by longitudinal creepage (m^2)
+    across: float  # force by lateral creepage (m^2)
+    spin: float  # force by spin, moment by lateral creepage (m^3)
+    turn: float  # moment by spin (m^4)
 
 
 TABLE = Path(__file__).with_name("s1002_contact.csv")
 
 
 def patch(shift: float, vehicle: Vehicle) -> Patch:
-    """Contact of S1002 on 60E1 at nominal load, the wheel shifted towards its flange (m)."""
+    """Solve the contact of S1002 on 60E1 at nominal load, the wheel shifted towards its flange (m)."""
     data, radius = vehicle.contact, vehicle.wheel.radius
     position, depth = profiles.inclined_rail()
     height, rise = profiles.s1002(position - profiles.TAPE_CIRCLE - shift)
@@ -180,7 +171,7 @@ def patch(shift: float, vehicle: Vehicle) -> Patch:
     radii = radius + np.interp(at, position, height)
     mean, local = radii.mean(), np.sin(np.arctan(np.interp(at, position, rise)))
     nothing, one = np.zeros_like(x), np.ones_like(x)
-    # creepages, and spin by the shape of the wheel: its radii along, its slope across the patch
+    # slip by spin follows from the radii along and the slope across the patch
     turned = np.stack([1 - radii / mean, x * local / mean])
     forces = -sticking(x, y, np.array([[one, nothing], [nothing, one], turned]), data.poisson)
     spin = -np.sin(angle) / mean
@@ -189,16 +180,13 @@ def patch(shift: float, vehicle: Vehicle) -> Patch:
 
 
 def splines(frame: pd.DataFrame) -> CubicSpline:
-    """Effective radius less the nominal one (m), and `Patch` but the slope, over the place of the rail on the wheel.
+    """Effective radius less the nominal one (m), and `Patch` but the slope, over the position of the rail on the wheel.
 
-    The place counts from the tape circle outwards (m). Squares make the columns uneven by a percent, which is smoothed.
-    The effective radius is the integral of the slope, so that the normal force makes no energy.
+    The position counts from the tape circle outwards (m). Smoothing removes a percent of unevenness from the squares.
+    The effective radius is the integral of the slope, so that the normal force adds no energy.
     """
-    place = -frame["shift_m"].to_numpy()[::-1]
-    smooth = [
-        make_smoothing_spline(1e3 * place, frame[name].to_numpy()[::-1], lam=_SMOOTHING) for name in Patch._fields
-    ]
-    slope, *others = (spline(1e3 * place) for spline in smooth)
+    place, columns = -frame["shift_m"].to_numpy()[::-1], frame[[*Patch._fields]].to_numpy()[::-1].T
+    slope, *others = (make_smoothing_spline(1e3 * place, each, lam=_SMOOTHING)(1e3 * place) for each in columns)
     radius = CubicSpline(place, -slope).antiderivative()
     return CubicSpline(place, np.column_stack([radius(place) - radius(0.0), *others]))
 

@@ -1,7 +1,7 @@
-"""A second opinion on the car: the same runs in our equations and in the public multibody code Exudyn.
+"""Second opinion on the car: the same runs with the equations of the project and in the multibody code Exudyn.
 
-`python tests/validation/second_opinion.py` writes data/results/second_opinion.csv; it needs the group
-`bench`. Serves the paper's section Simulation Environment.
+`python tests/validation/second_opinion.py` writes data/results/second_opinion.csv; it needs the group `bench`. Serves
+the paper's section Simulation Environment.
 """
 
 from __future__ import annotations
@@ -30,17 +30,15 @@ from railrepro.track.alignment import alignments
 from railrepro.track.irregularity import irregularities
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
-AGREEMENT = 0.01
-"""Difference relative to the largest value of a signal that counts as agreement (-)."""
+AGREEMENT = 0.01  # difference relative to the largest value of a signal that counts as agreement
 GUIDED = tuple(f"{gear}.du" for gear in GEARS)
 _GUARD = 8.0
-"""Fourfold pole of the feedback that holds a replay on the recorded path (rad/s), far below those of the controllers.
-
+"""Fourfold pole of the feedback that keeps a replay on the recorded path (rad/s), far below those of the controllers.
 Laterally the cars are integrators: without the integral a torque that differs by 1 N m moves them by 1 mm."""
 
 
 class Case(NamedTuple):
-    """A run of our car whose torques Exudyn's car gets: own name, that in data/scenarios.toml, length (s)."""
+    """A run of the project's car whose torques the Exudyn car gets."""
 
     name: str
     scenario: str
@@ -74,7 +72,7 @@ class _Pulses:
 
 
 def record(case: Case, vehicle: Vehicle) -> tuple[pd.DataFrame, route.Route, Rails]:
-    """Our car's run, one row per cycle (see `simulate.run`), the route it went, and the same rails for Exudyn's."""
+    """Run the project's car: series (see `simulate.run`), its route, and the same rails for Exudyn."""
     scenario = load_scenario(case.scenario).but(**case.changes)
     rough = irregularities(np.arange(0.0, scenario.end_m, route.CELL)) if case.irregular else None
     guidance = (lambda _v, _w, gear: _Pulses(case.pulses, gear)) if case.pulses else NDI(integral=0.1)
@@ -83,18 +81,18 @@ def record(case: Case, vehicle: Vehicle) -> tuple[pd.DataFrame, route.Route, Rai
 
 
 class _Guard:
-    """Replay of the recorded commands, plus (not for pulses) a soft feedback to the recorded path.
+    """Replay of the recorded commands, plus (not for pulses) a low-gain feedback to the recorded path.
 
-    The free lateral motion is neutral, so differences would add up for ever. Our own car at its usual step repeats its
-    record exactly; its feedback is zero.
+    The free lateral motion is neutral, so differences would add up without it. The project's car at its usual step
+    repeats its record exactly; its feedback is zero.
     """
 
     def __init__(self, case: Case, series: pd.DataFrame, vehicle: Vehicle):
         self._pulled = series[[f"{gear}.tau_long" for gear in GEARS]].to_numpy()
         self._steered, self._added = series[list(GUIDED)].to_numpy(), np.zeros((len(series), 2))
         self._path, self._speed = series[list(MEASURED[:4])].to_numpy(), series["front.v"].to_numpy()
-        self._gain = (not case.pulses) * vehicle.wheel.radius / vehicle.gear.contact_base
-        self._gain *= vehicle.effective_yaw_inertia
+        lever = (not case.pulses) * vehicle.wheel.radius / vehicle.gear.contact_base
+        self._gain = lever * vehicle.effective_yaw_inertia
         self._before, self._sum = np.zeros(2), np.zeros(2)
 
     def __call__(self, k: int, measured: np.ndarray) -> np.ndarray:
@@ -106,15 +104,15 @@ class _Guard:
         return (self._pulled[k][:, None] + np.outer(self._steered[k] + self._added[k], (1, -1))).ravel()
 
     def guided(self) -> dict[str, np.ndarray]:
-        """Differential torque commands, the feedback included (N m)."""
+        """Return the differential torque commands with the feedback (N m)."""
         return dict(zip(GUIDED, (self._steered + self._added).T, strict=True))
 
 
 def replay(case: Case, law: Callable = exudyn_car.creep) -> dict[str, pd.DataFrame]:
-    """Both cars, on cones, through a case; Exudyn's with a creep law of its own.
+    """Drive both cars on cones through a case; `law` is the creep law of the Exudyn car.
 
-    Tables "exudyn", and our car by the length of its step in ms, "1" and "0.05"; one row per cycle, `MEASURED` (SI)
-    and the differential torque commands `GUIDED` (N m), the feedback that holds a replay on its path included.
+    Returns "exudyn", and the project's car by its step in ms, "1" and "0.05"; one row per cycle, `MEASURED` (SI) and
+    the differential torque commands `GUIDED` with the feedback (N m).
     """
     vehicle = load_vehicle(**{"contact.profile": "cone"})
     series, way, rails = record(case, vehicle)
@@ -131,11 +129,11 @@ def replay(case: Case, law: Callable = exudyn_car.creep) -> dict[str, pd.DataFra
 
 
 def compare(name: str, runs: dict[str, pd.DataFrame]) -> pd.DataFrame:
-    """Differences of the two cars in the runs of `replay`.
+    """Compare the two cars in the runs of `replay`, for each quantity on its worst running gear or wheel.
 
-    Columns case, car_step_ms, quantity, largest (value of our signal), difference (largest), relative (their ratio; of
-    all gears or wheels the worst), beyond (share of samples that differ by more than `AGREEMENT`), rms (of the worst
-    one's difference), step_error (largest difference of our own two runs to `largest`), unit.
+    Columns case, car_step_ms, quantity, largest (value of the project's signal), difference (largest), relative (their
+    ratio), beyond (share of samples that differ by more than `AGREEMENT`), rms (of the difference), step_error (largest
+    difference of the project's own two runs over `largest`), unit.
     """
     rows, theirs = [], _signals(runs["exudyn"])
     steps = {key: _signals(runs[key]) for key in ("1", "0.05")}
@@ -153,7 +151,7 @@ def compare(name: str, runs: dict[str, pd.DataFrame]) -> pd.DataFrame:
 
 
 def _signals(run: pd.DataFrame) -> dict[tuple[str, str], np.ndarray]:
-    """Quantity and unit -> signals of all gears or wheels, shape (n, 2 or 4)."""
+    """(quantity, unit) -> signals of all running gears or wheels, shape (n, 2 or 4)."""
     y, yaw, speed, load = np.split(run[list(MEASURED)].to_numpy(), (2, 4, 8), axis=1)
     signals = {("lateral position", "m"): y, ("yaw angle to the track", "rad"): yaw, ("wheel speed", "rad/s"): speed}
     signals |= {("wheel speed, left - right", "rad/s"): speed[:, ::2] - speed[:, 1::2], ("wheel load", "N"): load}

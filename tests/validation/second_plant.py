@@ -1,10 +1,9 @@
-"""The second plant: the project's controllers on the independent car in Exudyn, on S1002 wheels, in closed loop.
+"""The project's controllers on the independent car in Exudyn, on S1002 wheels, in closed loop.
 
-`python tests/validation/second_plant.py` drives both cars through the scenarios of Figs. 6 to 9 under
-the paper's controllers with the tuned sets of the setting `paper`, probes both for the statements, and writes
-data/results/second_plant.csv and second_plant_verdicts.csv (half an hour); it needs the group `bench`. The law of the
-1 kHz control cycle, allocation of torques and adhesion law among it, is that of the project; bodies, integrator, rails,
-contact and creep are not (`exudyn_car`, `rolling_contact`).
+`python tests/validation/second_plant.py` drives both cars through the scenarios of Figs. 6 to 9 under the paper's
+controllers with the tuned sets of the setting `paper`, probes both for the statements, and writes
+data/results/second_plant.csv and second_plant_verdicts.csv (half an hour); it needs the group `bench`. The 1 kHz law
+with allocation and adhesion law is the project's; bodies, integrator, rails, contact and creep are not (`exudyn_car`).
 
 Serves the paper's section Multi-Body Simulation Results.
 """
@@ -41,10 +40,8 @@ from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 SCENARIOS = ("curve_entry_T2", "curve_entry_T3", "curve_entry_T4", "sine_tracking", "adhesion_loss", "braking")
-PARTS = ("curve", "curves", "sine", "loss")
-"""What the probe of the statements drives here; its sweeps of braking would take hours."""
-SLOWEST = 36.0
-"""Speed to which both cars brake (km/h): below some 28 km/h the explicit steps of Exudyn are too long for the creep."""
+PARTS = ("curve", "curves", "sine", "loss")  # of the probe; its sweeps of braking would take hours
+SLOWEST = 36.0  # to which both cars brake (km/h): explicit steps of Exudyn are too long for creep below some 28 km/h
 
 
 def run(
@@ -97,7 +94,7 @@ PLANTS = {"project": simulate.run, "exudyn": run}
 
 
 def driven(task: tuple[str, str, str]) -> dict:
-    """Row of a scenario, a controller and a plant: error (mm), delay (m), torque (N m), way (m), flanges touched."""
+    """Drive a scenario with a controller on a plant; the row of second_plant.csv."""
     name, controller, plant = task
     scenario = load_scenario(name)
     if scenario.stop_kmh is not None:
@@ -109,25 +106,27 @@ def driven(task: tuple[str, str, str]) -> dict:
 
 
 def probed(task: tuple[str, str]) -> list[tuple]:
-    """What the statements ask of the car in a part of the probe, on one of the plants."""
+    """Run a part of the probe on one of the plants: rows (plant, scenario, controller, metric, value)."""
     part, plant = task
     with mock.patch.dict(os.environ, {store.FOLDER: "off"}), mock.patch.object(simulate, "run", PLANTS[plant]):
-        rows = probe.probe(setup({}), (part,))
-    return [(plant, *row) for row in rows]
+        found = probe.probe(setup({}), (part,))
+    return [(plant, *key, value) for key, value in found.items()]
 
 
 def verdicts(rows: list[tuple]) -> pd.DataFrame:
-    """Verdicts of the statements that the probes of both plants answer: id, statement, project, exudyn."""
-    found = {
-        plant: statements.findings(statements.Evidence({tuple(key): value for of, *key, value in rows if of == plant}))
-        for plant in PLANTS
-    }
-    judged = []
-    for identity, rule in statements.load().items():
-        if all(identity in found[plant] for plant in PLANTS):
-            both = {plant: rule.judge(found[plant][identity]) for plant in PLANTS}
-            judged.append({"id": identity, "statement": rule.statement} | both)
-    return pd.DataFrame(judged)
+    """Judge the statements that the probes of both plants decide: columns id, statement, project, exudyn."""
+    found = {}
+    for plant in PLANTS:
+        metrics_of = {tuple(key): value for of, *key, value in rows if of == plant}
+        found[plant] = statements.findings(statements.Evidence(metrics_of))
+    return pd.DataFrame(
+        [
+            {"id": identity, "statement": rule.statement}
+            | {plant: rule.judge(found[plant][identity]) for plant in PLANTS}
+            for identity, rule in statements.load().items()
+            if all(identity in found[plant] for plant in PLANTS)
+        ]
+    )
 
 
 def main() -> None:

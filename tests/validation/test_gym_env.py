@@ -1,4 +1,4 @@
-"""The environment of examples/: Gymnasium's own check, feedback of what it observes, a derailment that does not pay."""
+"""The environment of examples/: Gymnasium's check, feedback of its observation, a derailment that does not pay."""
 
 import importlib.util
 
@@ -23,14 +23,14 @@ def example():
 
 
 def weights(env, pole):
-    """Weights of the first three numbers of a gear that give three equal poles (rad/s)."""
+    """Feedback of the first three numbers of a running gear with three equal poles (rad/s)."""
     vehicle, v = env.vehicle, env.scenario.speed
     gain = vehicle.wheel.radius / vehicle.gear.contact_base * vehicle.effective_yaw_inertia / vehicle.drive.torque_limit
     return gain * np.array([1e-3 * pole**3 / v, 3e-3 * pole**2, -3e-2 * pole])
 
 
 def driven(env, policy, seed=1):
-    """Return and end of an episode, the cost that the last step left, and the last info."""
+    """Return and end of an episode, the last reward with the time left, and the last info."""
     observation, info = env.reset(seed=seed)
     total, ends = 0.0, (False, False)
     while not any(ends):

@@ -1,4 +1,4 @@
-"""The stored quadratic problems: their optimum is one, and they are what the controllers pose."""
+"""The stored quadratic problems are those of the controllers, and their stored optimum is optimal."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from quadratic_problems import CASES, UNIT
 
 @pytest.mark.parametrize("name", CASES)
 def test_a_stored_problem_is_that_of_its_controller_and_an_independent_solver_finds_its_optimum(name):
-    """The optimum comes from the recursion, that of DAQP from a dense problem without states; 1e-4 N m is the tolerance
+    """The stored optimum is from the recursion; DAQP solves a dense problem without states. 1e-4 N m is the tolerance
     of the controllers, 1e-9 is left for other processors."""
     stored, today = problems.read(name), problems.posed(name)
     assert stored.keys() == today.keys()

@@ -1,4 +1,5 @@
-"""The car agrees with the same car in Exudyn, with our creep law and with one of its own; so do rails and contact."""
+"""The car agrees with the same car in Exudyn, with the project's creep law and with an independent one; so do rails
+and contact."""
 
 from dataclasses import astuple
 
@@ -18,7 +19,7 @@ MISSING = "the group `bench` is installed by `make test-extras`"
 
 
 def our_creep(vehicle, _stiffness, load, nu_x, nu_y, spin, slip_speed):
-    """The creep law of the core as the second car takes it."""
+    """The creep law of the project with the arguments of `exudyn_car.creep`."""
     a, b, kalker = middle_patch(vehicle)
     scale = ((load + 1) / vehicle.contact.nominal_load) ** (1 / 3)
     rail = astuple(vehicle.adhesion["dry"])
@@ -28,15 +29,14 @@ def our_creep(vehicle, _stiffness, load, nu_x, nu_y, spin, slip_speed):
 
 @pytest.mark.parametrize(("law", "usual", "short"), [(our_creep, 3e-4, 1e-5), (exudyn_car.creep, 0.02, 0.02)])
 def test_straight_pulse_agrees_with_exudyn(law, usual, short):
-    """With our creep law the step errors of both integrators remain, first of the contact modes; a law of its own
-    differs where ours adds spin to creepages before it looks at their direction."""
+    """With the same creep law only the step errors of both integrators remain, mainly of the contact modes. The
+    independent law differs in how spin enters the direction of the force."""
     pytest.importorskip("exudyn", reason=MISSING)
     case = second_opinion.CASES[0]._replace(seconds=0.5)
     table = second_opinion.compare(case.name, second_opinion.replay(case, law=law))
     table = table.set_index(["car_step_ms", "quantity"])
-    moved = table.loc["1"]
-    assert moved.loc["lateral position", "largest"] > 1e-3
-    assert (moved["relative"] < usual).all()
+    assert table.loc[("1", "lateral position"), "largest"] > 1e-3
+    assert (table.loc["1", "relative"] < usual).all()
     assert (table.loc["0.05", "relative"] < short).all()
     assert (table["step_error"] < 3e-4).all() and table.loc[("1", "wheel load"), "step_error"] > 1e-6
 
@@ -45,10 +45,8 @@ def test_straight_pulse_agrees_with_exudyn(law, usual, short):
 def test_contact_of_the_second_car_agrees_with_ours(radius):
     """The same ellipse from other integrals; Kalker's coefficients by another interpolation between his rows."""
     vehicle = load_vehicle(**{"wheel.radius": radius, "contact.profile": "cone"})
-    a, b, coefficients = exudyn_car.patch(vehicle)
-    ours = middle_patch(vehicle)
-    assert (a, b) == pytest.approx(ours[:2], rel=1e-6)
-    assert coefficients == pytest.approx(ours[2], rel=6e-3)
+    (*axes, coefficients), (*known, kalker) = exudyn_car.patch(vehicle), middle_patch(vehicle)
+    assert axes == pytest.approx(known, rel=1e-6) and coefficients == pytest.approx(kalker, rel=6e-3)
 
 
 BENDS = (
@@ -59,10 +57,10 @@ BENDS = (
 
 @pytest.mark.parametrize("alignment", [*(alignments()[name] for name in ("T1", "T4")), Alignment("bends", BENDS)])
 def test_rails_of_the_second_car_lie_where_ours_do(alignment):
-    """Integrated curvature against the tables of the track, before, along and behind it."""
+    """Integrated curvature against the tables of the track, before, on and after it."""
     track = Track(alignment.name, build_table(alignment))
-    columns = pd.DataFrame(exudyn_car.Rails(alignment).at(np.arange(-20.0, track.length + 20.0, 7.3)))
-    columns.columns = exudyn_car._STATION
+    stations = exudyn_car.Rails(alignment).at(np.arange(-20.0, track.length + 20.0, 7.3))
+    columns = pd.DataFrame(stations, columns=exudyn_car._STATION)
     assert pytest.approx(track.position(columns["p"]), abs=1e-9) == columns[list("xyz")].to_numpy().T
     angles = columns[["psi", "kappa", "phi", "dphi", "eps", "deps"]].to_numpy().T
     assert angles == pytest.approx(track.interpolate(columns["p"]), abs=1e-12)

@@ -1,5 +1,4 @@
-"""Evidence on the nominal case: the stored probes of each column of verdicts (nominal_metrics.csv), as
-`statements.Evidence`."""
+"""Evidence on the nominal car: the stored probes (nominal_metrics.csv) as `statements.Evidence`."""
 
 from __future__ import annotations
 
@@ -11,11 +10,9 @@ import pandas as pd
 
 from railrepro import paths
 from railrepro.evidence.claims.setup import COLUMNS, setting_of
-from railrepro.evidence.claims.statements import Evidence
+from railrepro.evidence.claims.statements import Evidence, Key
 
-Key = tuple[str, str, str]
-METRICS = "nominal_metrics"
-"""Name of the table of data/results with the metrics for all settings."""
+METRICS = "nominal_metrics"  # table of data/results with the metrics of all settings
 
 
 def result(name: str) -> pd.DataFrame | None:
@@ -25,23 +22,23 @@ def result(name: str) -> pd.DataFrame | None:
 
 
 class Nominal:
-    """Stored metrics of the nominal car, per column of verdicts (`setup.COLUMNS`).
+    """Stored metrics of the nominal car by column of verdicts (`setup.COLUMNS`).
 
-    `results` reads a table of data/results: its name without ending -> DataFrame, or None if there is no such file.
+    `results` is a function like `result`, which reads a table of data/results.
     """
 
     def __init__(self, results: Callable[[str], pd.DataFrame | None] = result):
         self.results = cache(results)
         self._evidence: dict[str, Evidence] = {}
-        found = self.results(METRICS)
-        self._rows = {} if found is None else dict(list(found.groupby("setting")))
+        metrics = self.results(METRICS)
+        self._rows = {} if metrics is None else dict(list(metrics.groupby("setting")))
 
     def settings(self) -> list[str]:
-        """Columns of verdicts for which there are metrics, in the order of `COLUMNS`."""
+        """List the columns of verdicts that have metrics, in the order of `COLUMNS`."""
         return [column for column in COLUMNS if column in self._rows]
 
     def evidence(self, setting: str) -> Evidence:
-        """Metrics and tables of a column of verdicts; for "" the tables that depend on no setting, no metrics."""
+        """Return metrics and tables of a column of verdicts; for "" only the tables that depend on no setting."""
         if setting not in self._evidence:
             rows = self._rows.get(setting)
             known = ({}, {}) if rows is None else (tuned_metrics(rows), seeds_spread(rows))
@@ -49,32 +46,31 @@ class Nominal:
         return self._evidence[setting]
 
     def on_calibrated_car(self) -> dict[str, str]:
-        """Statement id -> "yes" if the statement holds on the calibrated car, else "no"; {} without paper_like.csv."""
-        found = self.results("paper_like")
-        return {} if found is None else {row.statement: "yes" if row.holds else "no" for row in found.itertuples()}
+        """Map the id of each statement to "yes" if it holds on the calibrated car, else "no"; {} without results."""
+        judged = self.results("paper_like")
+        return {} if judged is None else {row.statement: "yes" if row.holds else "no" for row in judged.itertuples()}
 
 
 def tuned_metrics(rows: pd.DataFrame) -> dict[Key, float]:
-    """Metrics with tuned sets, mean over the seeds of the noise: (scenario, controller, metric) -> value (SI).
+    """Average metrics over the seeds of the noise: (scenario, controller, metric) -> value (SI).
 
-    `rows` are of one setting, columns scenario, controller, metric, value (SI), swarm (rank of the swarm by cost);
-    only rows with swarm 0, the tuned set, count. The metric `failed` is 1 if a run with any seed failed.
+    `rows` are those of one setting in nominal_metrics.csv; only rows with swarm 0, the tuned set, count. The metric
+    `failed` is 1 if a run with any seed failed.
     """
     values = rows[rows["swarm"] == 0].groupby(["scenario", "controller", "metric"], sort=False)["value"]
     return values.mean().to_dict() | {key: value for key, value in values.max().items() if key[2] == "failed"}
 
 
 def seeds_spread(rows: pd.DataFrame) -> dict[Key, float]:
-    """Scatter between the seeds of swarms and noise: (scenario, controller, metric) -> ln(largest / smallest |value|).
+    """Compute ln(largest / smallest |value|) over swarms and noise: (scenario, controller, metric) -> scatter.
 
-    `rows` are of one setting, columns scenario, controller, metric, value (SI), a row per seed. Only rmse_y and
-    stopping_distance count. Where a run failed the scatter of rmse_y is inf; where a value is 0 or not finite it is 0.
+    `rows` are those of one setting in nominal_metrics.csv. Only rmse_y and stopping_distance have a scatter; it is inf
+    for rmse_y if a run failed, and 0 if a value is 0 or not finite.
     """
-    found: dict[Key, float] = {}
-    lost = {(r.scenario, r.controller) for r in rows.itertuples() if r.metric == "failed" and r.value > 0}
     sized = rows[rows["metric"].isin(["rmse_y", "stopping_distance"])]
-    for (scenario, name, metric), values in sized.groupby(["scenario", "controller", "metric"])["value"]:
-        low, high = values.abs().min(), values.abs().max()
-        known = low > 0 and np.isfinite(high)
-        found[scenario, name, metric] = float(np.log(high / low)) if known else 0.0
-    return found | {(s, c, "rmse_y"): float("inf") for s, c in lost}
+    extremes = sized["value"].abs().groupby([sized[name] for name in ("scenario", "controller", "metric")])
+    spread: dict[Key, float] = {}
+    for key, (low, high) in extremes.agg(["min", "max"]).iterrows():
+        spread[key] = float(np.log(high / low)) if low > 0 and np.isfinite(high) else 0.0
+    failed = rows[(rows["metric"] == "failed") & (rows["value"] > 0)]
+    return spread | {(row.scenario, row.controller, "rmse_y"): float("inf") for row in failed.itertuples()}

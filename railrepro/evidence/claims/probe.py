@@ -1,14 +1,14 @@
-"""What the paper's statements ask of one car and its controllers: a few runs, and the metrics that predicates read.
+"""Simulate what the paper's statements are about: a few runs of one car, and the metrics that the predicates read.
 
-The nominal results in each column of verdicts and each sample of the robustness study are probes, so that one predicate
-(`statements`) judges all of them. Serves the paper's section Multi-Body Simulation Results.
+The nominal results in each column of verdicts and the samples of the robustness study are probes, so that the same
+predicates (`statements`) judge them. Serves the paper's section Multi-Body Simulation Results.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import astuple
-from itertools import pairwise
+from itertools import pairwise, product
 
 import casadi as ca
 import numpy as np
@@ -22,13 +22,12 @@ from railrepro.control.registry import EMPHASIS, LOOP, PAPER_TRIO, with_r_times
 from railrepro.data import InputError, write
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.setup import COLUMNS, ProbeSetup, setup
-from railrepro.evidence.claims.statements import BETWEEN, BRAKE, LOSS, NDI, NOTHING, SOFT, SOFTEST, T3
+from railrepro.evidence.claims.statements import BETWEEN, BRAKE, LOSS, NDI, NOTHING, SOFT, SOFTEST, T3, Key
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import Scenario, load_scenario
 from railrepro.studies import store
 from railrepro.studies.executor import ordered_map
 from railrepro.studies.experiment import Experiment
-from railrepro.track.alignment import Alignment
 from railrepro.track.table import Track, build_table, load_track
 from railrepro.tuning.task import triple_pole
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
@@ -37,85 +36,74 @@ PARTS = ("curve", "curves", "sine", "loss", "brake")
 """Groups of runs in every probe: curve entry on T3; on T1, T2, T4; sine at five speeds; loss of adhesion; braking."""
 ONCE = ("causes", "sudden", "share", "rails", "lags")
 """Groups of runs once per setting: creep and cones, sudden losses of adhesion, allocation, irregular rails, lags."""
-PERTURBED = (0.98, 0.99, 1.0, 1.01, 1.02)
-"""Factors on R of the runs over which Fig. 8 is averaged: at the adhesion maximum single runs are chaotic."""
-R_FACTORS, POLES = (1.0, 10**0.5, 10.0, 10**1.5, 100.0), (8.0, 15.0, 25.0, 40.0, 60.0)
-"""Sweeps in Fig. 9: factors on the weight R of NMPC, besides `r_brake` (-); triple poles of NDI (rad/s)."""
-NEIGHBOURS = (0.9, 1.0, 1.1)
-"""Factors on R of NMPC and on the poles of NDI; from runs with all of them comes the scatter of results in Fig. 9."""
-SHARES = (0.0, 0.02, 0.03, 0.045, 0.07, 0.1, 0.15, 0.22, 0.33)
-"""Fixed shares of torque for guidance (-), tried from below; too large a share lengthens the way and so the error."""
-REGULAR_END, DEMANDED, REACHED = 110.0, 130.0, 240.0
-"""Track coordinates in Fig. 8 (m): adhesion is at its set point, this exceeds the maximum, the run reaches it."""
-PATCH, SUDDEN_KMH, SUDDEN_KN, CHECKED = (300.0, 500.0), 280.0, 17.0, 100.0
-"""Sudden loss: begin and end of the very poor rail (m), speed (km/h), force per gear in traction and braking (kN), and
-the way before (m) on which operation must be regular: the steps of the law have climbed to the set point by 160 m."""
-SHORTEST = 0.06
-"""Shortest horizon of NMPC (s): 5 m at the speed of Fig. 6."""
-NO_SLIP_CONTROL = AdhesionSettings(active=False)
-RECOVERY, APPROACH, FALL = 0.135, 0.9, 0.1
-"""Time within which a wheel must be back from macro slip, a tenth of a wave of the set point of Fig. 8 (s); adhesion
-over its peak from which this counts as approached, and below which slip beyond it is excessive (-); share of the torque
-by which it must fall in macro slip (-)."""
-SEEDS = (101, 102, 103)
-"""Seeds of the sensor noise in nominal runs; tuning has others."""
-UNITS = {
-    **dict.fromkeys(("rmse_y", "largest_error", "delay", "mean_error_last_third", "shortest_wave", "shortfall"), "m"),
-    **dict.fromkeys(("ndi_later", "stopping_distance", "rail_rmse_y"), "m"),
-    "effort_du": "N m",
-}
+SEEDS = (101, 102, 103)  # of the sensor noise in nominal runs; tuning has others
 
-Rows = list[tuple[str, str, str, float]]
-"""List of (scenario, controller, metric, value in SI units)."""
+# Fig. 8
+PERTURBED = (0.98, 0.99, 1.0, 1.01, 1.02)  # factors on R to average over: at the adhesion peak single runs are chaotic
+REGULAR_END, DEMANDED, REACHED = 110.0, 130.0, 240.0
+"""Track coordinates (m): the adhesion is at its set point, the set point passes the peak, the run reaches the peak."""
+RECOVERY = 0.135  # time within which a wheel must leave macro slip, a tenth of a wave of the set point (s)
+APPROACH = 0.9  # adhesion over its peak from which the peak is approached, and below which slip beyond it is excessive
+FALL = 0.1  # fraction by which the torque must fall in macro slip
+# Fig. 9
+R_FACTORS, POLES = (1.0, 10**0.5, 10.0, 10**1.5, 100.0), (8.0, 15.0, 25.0, 40.0, 60.0)
+"""Sweeps: factors on the weight R of NMPC, besides `r_brake` (-); triple poles of NDI (rad/s)."""
+NEIGHBOURS = (0.9, 1.0, 1.1)  # factors on R of NMPC and on the poles of NDI whose runs give the scatter
+SHARES = (0.0, 0.02, 0.03, 0.045, 0.07, 0.1, 0.15, 0.22, 0.33)
+"""Fixed shares of the torque for guidance (-), tried from below: too large a share lengthens the run and its error."""
+# Sudden loss of adhesion
+PATCH, CHECKED = (300.0, 500.0), 100.0
+"""Begin and end of the very poor rail, and the distance before it on which operation must be regular (m): the adhesion
+law has climbed to its set point by 160 m."""
+NO_SLIP_CONTROL = AdhesionSettings(active=False)
+
+_FOLLOWING = ("rmse_y", "largest_error", "mean_error_last_third", "effort_du")
+_METRES = (*_FOLLOWING[:3], "delay", "shortest_wave", "shortfall", "ndi_later", "stopping_distance", "rail_rmse_y")
+UNITS = dict.fromkeys(_METRES, "m") | {"effort_du": "N m"}
 Measured = Iterator[tuple[str, str, dict[str, float]]]
 """What a part of a probe yields: scenario, controller, value by metric."""
 
+# The functions following, entering, losing, slipping, riding and braked are measures for `Experiment.measured`: they
+# return a pair, metrics by name and a DataFrame or None. A failed run has few metrics; its `failed` is 1.
 
-def probe(world: ProbeSetup, parts: Iterable[str] = PARTS) -> Rows:
-    """Simulate the runs by which the paper's statements are judged, with the car and the controllers of `world`.
 
-    `parts` are names of groups of these runs, from `PARTS` and `ONCE`. Returns a list of rows (scenario, controller,
-    metric, value in SI units). A failed run has the metric `failed` = 1 and few others; rmse_y and stopping_distance of
-    a braking run without a stop are inf.
+def probe(world: ProbeSetup, parts: Iterable[str] = PARTS) -> dict[Key, float]:
+    """Simulate groups of the runs that judge the paper's statements, with the car and the controllers of `world`.
+
+    `parts` are names from `PARTS` and `ONCE`. Returns (scenario, controller, metric) -> value (SI). A failed run has
+    the metric `failed` = 1 and few others; rmse_y and stopping_distance of a braking run without a stop are inf.
     """
-    rows: Rows = []
-    for part in parts:
-        for scenario, controller, values in _DRIVE[part](world):
-            rows += [(scenario, controller, name, float(value)) for name, value in values.items()]
-    return rows
+    return {
+        (scenario, controller, name): float(value)
+        for part in parts
+        for scenario, controller, values in _DRIVE[part](world)
+        for name, value in values.items()
+    }
 
 
 def nothing(scenario: Scenario) -> dict[str, float]:
-    """Dict (m): rmse_y and largest_error of a gear that stays at y = 0, and shortest_wave, shortest period of y*."""
+    """Compute rmse_y and largest_error of a running gear at y = 0, and shortest_wave, the shortest period of y* (m)."""
     reference = scenario.reference()
     values = ca.DM(reference(np.arange(0.0, scenario.end_m, 0.1))).full()
-    found = {"rmse_y": float(np.sqrt(np.mean(values**2))), "largest_error": float(np.abs(values).max())}
     waves = [value for key, value in scenario.set_point.items() if key.startswith("period")]
-    return found | {"shortest_wave": float(min(waves))}
+    largest, rmse = float(np.abs(values).max()), float(np.sqrt(np.mean(values**2)))
+    return {"rmse_y": rmse, "largest_error": largest, "shortest_wave": float(min(waves))}
 
 
-def following(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Lateral metrics of the front gear in the `run` of `experiment`; a measure for `Experiment.measured`.
-
-    Returns (dict, None). Keys rmse_y, largest_error and mean_error_last_third (m), effort_du (N m), see
-    `metrics.summary`; failed (0 or 1). A failed run has only the key failed.
-    """
-    names = ("rmse_y", "largest_error", "mean_error_last_third", "effort_du")
-    return _unless_failed(run, experiment, *names), None
-
-
-def _unless_failed(run: simulate.Run, experiment: Experiment, *names: str) -> dict[str, float]:
-    """Metrics of `Experiment.values` by name, none of a failed run, and whether it failed."""
+def _unless_failed(run: simulate.Run, experiment: Experiment, names: Iterable[str]) -> dict[str, float]:
+    """Take metrics of `Experiment.values` by name, none of a failed run, and `failed`."""
     row = experiment.values(run)
     return {name: row[name] for name in names if not run.failed} | {"failed": float(run.failed)}
 
 
-def entering(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Metrics of a run of Fig. 6; a measure for `Experiment.measured`, so it returns a pair (dict, DataFrame).
+def following(run: simulate.Run, experiment: Experiment) -> store.Entry:
+    """Measure rmse_y, largest_error, mean_error_last_third (m), effort_du (N m), see `metrics.summary`, and failed."""
+    return _unless_failed(run, experiment, _FOLLOWING), None
 
-    Keys: those of `following`; delay of y behind y* and `shortfall` (m); `torque_step` (N m); `path_error` (-). The
-    DataFrame is `metrics.gear_series` with stride 10. A failed run has only the key failed, and None for the DataFrame.
-    """
+
+def entering(run: simulate.Run, experiment: Experiment) -> store.Entry:
+    """Measure a run of Fig. 6: metrics of `following`, delay of y behind y* and `shortfall` (m), `torque_step` (N m),
+    `path_error` (-); the DataFrame is `metrics.gear_series` with stride 10."""
     values, _ = following(run, experiment)
     if run.failed:
         return values, None
@@ -125,11 +113,10 @@ def entering(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def losing(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Metrics of a run of Fig. 8; a measure for `Experiment.measured`, so it returns (dict, None).
+    """Measure a run of Fig. 8: metrics of `following`, `macro_slips` and `oscillation`, and others.
 
-    Keys: those of `following`, `macro_slips` and `oscillation`; largest_slip of all wheels (-); utilisation_late,
-    adhesion over the adhesion maximum from p = 240 m on (-); flange, 1 if a flange touches a rail, else 0;
-    regular_deviation from 110 to 130 m, see `deviation` (-). A failed run has only failed and regular_deviation.
+    largest_slip of all wheels (-); utilisation_late, adhesion over its peak from p = 240 m on (-); flange, 1 if one
+    touches a rail; regular_deviation from 110 to 130 m, see `deviation` (-), also of a failed run.
     """
     (values, _), series = following(run, experiment), metrics.gear_series(run.series, stride=10)
     if not run.failed:
@@ -145,50 +132,41 @@ def losing(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def slipping(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Metrics of a run over a slippery patch; a measure for `Experiment.measured`, so it returns (dict, None).
-
-    Keys largest_slip of all wheels (-); utilisation, mean adhesion of the left front wheel on the patch over the
-    adhesion maximum there (-); regular_deviation before the patch, see `deviation` (-); failed (0 or 1).
-    """
+    """Measure a run over a slippery patch: largest_slip of all wheels (-); utilisation, mean adhesion of the left front
+    wheel on the patch over the adhesion peak there (-); regular_deviation before the patch (-); failed."""
     scenario, car, series = experiment.scenario, experiment.car(), metrics.gear_series(run.series, stride=10)
     patch = series[series["front.p"].between(*PATCH)]
-    values = {
+    adhesion = float((np.sign(patch["front.f_star"]) * patch["front_le.adhesion"]).mean())
+    return {
         "largest_slip": metrics.longitudinal(run.series, scenario, car)["largest_slip"][0],
-        "utilisation": float((np.sign(patch["front.f_star"]) * patch["front_le.adhesion"]).mean())
-        / adhesion_peak(scenario, car)[0],
+        "utilisation": adhesion / adhesion_peak(scenario, car)[0],
         "regular_deviation": deviation(series, PATCH[0] - CHECKED, PATCH[0] - 1),
-    }
-    return values | {"failed": float(run.failed)}, None
+        "failed": float(run.failed),
+    }, None
 
 
 def riding(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Metrics of a run on irregular rails; a measure for `Experiment.measured`, so it returns (dict, None).
-
-    Keys rail_rmse_y, RMS error from the irregular rails (m); sum_y_over_limit, track shifting force over its limit (-);
-    n_mv_floor_front, comfort index above the front gear (-); failed (0 or 1). A failed run has only failed.
-    """
-    return _unless_failed(run, experiment, "rail_rmse_y", "sum_y_over_limit", "n_mv_floor_front"), None
+    """Measure a run on irregular rails: rail_rmse_y, RMS error from these rails (m); sum_y_over_limit, track shifting
+    force over its limit (-); n_mv_floor_front, comfort index above the front running gear (-); failed."""
+    return _unless_failed(run, experiment, ("rail_rmse_y", "sum_y_over_limit", "n_mv_floor_front")), None
 
 
 def braked(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Metrics of a braking run; a measure for `Experiment.measured`, so it returns (dict, None).
-
-    Keys rmse_y and stopping_distance (m); both are inf when the run failed or the car did not stop.
-    """
+    """Measure rmse_y and stopping_distance (m); both are inf if the run failed or the car did not stop."""
     row = experiment.values(run)
     stopped = not run.failed and run.series["front.v"].iloc[-1] < 0.2
     return {name: row[name] if stopped else float("inf") for name in ("rmse_y", "stopping_distance")}, None
 
 
 def _follow(world: ProbeSetup, scenario: Scenario, label: str) -> Measured:
-    """How the paper's three controllers follow a scenario."""
+    """Drive a scenario under the paper's three controllers."""
     yield label, NOTHING, nothing(scenario)
     for name in PAPER_TRIO:
         yield label, name, world.experiment(scenario, name).measured(following)[0]
 
 
 def _curves(world: ProbeSetup) -> Measured:
-    """Curve entries on the other tracks, and on all four in the middle of the track."""
+    """Drive T1, T2 and T4 under the three controllers, and all four curves under NMPC with y* = 0."""
     for name, length in {"curve_entry_T1": 80.0, "curve_entry_T2": 400.0, T3: 600.0, "curve_entry_T4": 700.0}.items():
         scenario = load_scenario(name).but(end_m=length)
         if name != T3:
@@ -198,17 +176,17 @@ def _curves(world: ProbeSetup) -> Measured:
 
 
 def _sine(world: ProbeSetup) -> Measured:
-    for speed in (80, 160, 240, 320, 400):  # km/h
-        scenario = load_scenario("sine_tracking").but(speed_kmh=float(speed), end_m=300.0)
-        yield from _follow(world, scenario, f"sine_tracking {speed}")
+    """Drive Fig. 7 at five speeds."""
+    for speed, label in statements.SINES.items():
+        yield from _follow(world, load_scenario("sine_tracking").but(speed_kmh=float(speed), end_m=300.0), label)
 
 
 def _curve(world: ProbeSetup) -> Measured:
-    """Fig. 6, with the delay of NDI's torque and how much of the gyroscopic moment each controller balances."""
+    """Drive Fig. 6, also with hardly any preview; add lag of the torque and balanced gyroscopic moment."""
     scenario, stretched = world.scenario(T3), world.stretched()
     track = Track("T3", build_table(stretched)) if stretched else load_track(scenario.track)
     vehicle, v, cant_rate = load_vehicle(**world.vehicle), scenario.speed, track.interpolate(200.0)[3, 0]
-    # the gyroscopic yaw moment of a gear's rolling wheels in the cant ramp, and the torque that balances it (N m)
+    # gyroscopic yaw moment of the rolling wheels of a running gear in the cant ramp, and the torque that balances it
     moment = -2 * vehicle.wheel.spin_inertia * v / vehicle.wheel.radius * cant_rate * v
     expected = float(moment * vehicle.wheel.radius / vehicle.gear.contact_base)
     yield T3, NOTHING, nothing(scenario)
@@ -222,41 +200,33 @@ def _curve(world: ProbeSetup) -> Measured:
     for name in statements.MPC:
         if {name, NDI} <= set(series):
             yield T3, name, torque_shift(series[name], series[NDI])
-    yield from _unforeseen(world, scenario, stretched)
-
-
-def _unforeseen(world: ProbeSetup, scenario: Scenario, stretched: Alignment | None) -> Measured:
-    """Delay of NDI that knows the rates of the set point, and of NMPC with the shortest horizon: hardly any preview."""
-    short = world.parameters["nmpc"] | {"horizon_s": SHORTEST}
-    rates = world.experiment(scenario, NDI, changes={"rates": True}, alignment=stretched)
-    for label, run in {
-        statements.RATES: rates,
+    short = world.parameters["nmpc"] | {"horizon_s": 0.06}  # 5 m
+    unforeseen = {
+        statements.RATES: world.experiment(scenario, NDI, changes={"rates": True}, alignment=stretched),
         statements.SHORT: world.experiment(scenario, "nmpc", short, alignment=stretched),
-    }.items():
+    }
+    for label, run in unforeseen.items():
         values, _ = run.measured(entering)
         yield T3, label, {key: value for key, value in values.items() if key in ("rmse_y", "delay", "failed")}
 
 
 def _lags(world: ProbeSetup) -> Measured:
-    """Both MPC in the curve of Fig. 6 and on its fastest sine, with lags of the drive that they do not know."""
+    """Drive the curve entry and the fastest sine under both MPC with lags of the drive that they do not know."""
     sine = load_scenario("sine_tracking").but(speed_kmh=400.0, end_m=300.0)
     for label, scenario, alignment in ((T3, world.scenario(T3), world.stretched()), (statements.FASTEST, sine, None)):
-        for lag in statements.LAGS_MS:
-            for name in statements.MPC:
-                run = world.experiment(scenario, name, plant={"drive.lag": 1e-3 * lag}, alignment=alignment)
-                yield f"lag {lag:g} ms, {label}", name, run.measured(following)[0]
+        for lag, name in product(statements.LAGS_MS, statements.MPC):
+            run = world.experiment(scenario, name, plant={"drive.lag": 1e-3 * lag}, alignment=alignment)
+            yield f"lag {lag:g} ms, {label}", name, run.measured(following)[0]
 
 
 def _loss(world: ProbeSetup) -> Measured:
-    """Fig. 8: NMPC as tuned and with R x 10, each over `PERTURBED` and once without slip control; NDI."""
+    """Drive Fig. 8: NMPC as tuned and with R x 10, over `PERTURBED` and once without slip control; NDI."""
     scenario, car = load_scenario(LOSS).but(end_m=700.0), world.car()
     yield LOSS, NOTHING, nothing(scenario) | {"excessive_slip": excessive_slip(scenario, car)}
-    tuned = {"nmpc": with_r_times(world.parameters["nmpc"], world.r_loss)}
-    tuned[SOFT] = with_r_times(tuned["nmpc"], EMPHASIS)
-    cases = {
-        label: [world.experiment(scenario, "nmpc", with_r_times(nmpc, factor)) for factor in PERTURBED]
-        for label, nmpc in tuned.items()
-    }
+    nmpc, cases = with_r_times(world.parameters["nmpc"], world.r_loss), {}
+    tuned = {"nmpc": nmpc, SOFT: with_r_times(nmpc, EMPHASIS)}
+    for label, nmpc in tuned.items():
+        cases[label] = [world.experiment(scenario, "nmpc", with_r_times(nmpc, factor)) for factor in PERTURBED]
     cases[NDI] = [world.experiment(scenario, NDI)]
     for label, nmpc in tuned.items():
         cases[statements.NO_LAW[label]] = [world.experiment(scenario, "nmpc", nmpc, adhesion=NO_SLIP_CONTROL)]
@@ -273,10 +243,10 @@ def _loss(world: ProbeSetup) -> Measured:
 
 
 def _causes(world: ProbeSetup) -> Measured:
-    """NMPC in the curve (as it is: `_curve`) and on sines, on cones, nearly without creep, in the curve with both."""
+    """Drive curve and sines under NMPC: on cones, nearly without creep, in the curve also with both."""
     sine, curve = load_scenario("sine_tracking"), load_scenario(T3)
     driven = curve, curve.but(track="T5"), sine.but(speed_kmh=160.0), sine
-    # the stiff contact is one in which wheels nearly roll
+    # in a stiff contact wheels nearly roll
     cones, stiff = {"contact.profile": "cone"}, {"contact.shear_modulus": 12.0 * world.car().contact.shear_modulus}
     for case, scenario in zip(statements.CASES, driven, strict=True):
         plants = {statements.CONES: cones, statements.NO_CREEP: stiff}
@@ -286,21 +256,20 @@ def _causes(world: ProbeSetup) -> Measured:
 
 
 def _sudden(world: ProbeSetup) -> Measured:
-    """NMPC as tuned over a patch of very poor rail, with and without slip control."""
+    """Drive NMPC as tuned over a patch of very poor rail, with and without slip control."""
     begin, end = PATCH
     points = ((0.0, 0.0), (begin - 0.5, 0.0), (begin + 0.5, 1.0), (end - 0.5, 1.0), (end + 0.5, 0.0))
-    base = load_scenario(LOSS).but(speed_kmh=SUDDEN_KMH, end_m=end + 300, poor="very_poor", poor_share=())
+    base = load_scenario(LOSS).but(speed_kmh=280.0, end_m=end + 300, poor="very_poor", poor_share=())
     for case in statements.SUDDEN:
-        place, _, drive = case.partition(", ")
-        share = {"poor_share" if place == "both rails" else "poor_share_left": points}
-        force = SUDDEN_KN if drive == "traction" else -SUDDEN_KN
-        scenario = base.but(force_kN=((0.0, force),), **share)
+        share = {"poor_share" if case.startswith("both rails") else "poor_share_left": points}
+        force = 17.0 if case.endswith("traction") else -17.0
+        scenario = base.but(force_kN=((0.0, force),), **share)  # per running gear
         for label, law in (("nmpc", None), (statements.NO_LAW["nmpc"], NO_SLIP_CONTROL)):
             yield case, label, world.experiment(scenario, "nmpc", adhesion=law).measured(slipping)[0]
 
 
 def _rails(world: ProbeSetup) -> Measured:
-    """NMPC on an irregular straight with and without exact preview, means over the realisations."""
+    """Drive an irregular straight under NMPC with and without exact preview; average over realisations."""
     end = 1000.0
     scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=300.0, end_m=end)
     defects = [
@@ -315,14 +284,14 @@ def _rails(world: ProbeSetup) -> Measured:
 
 
 def _mean(runs: list[dict[str, float]]) -> dict[str, float]:
-    """Mean of each metric over runs; where one failed all have."""
+    """Average each metric that all runs have; failed if one failed."""
     common = set.intersection(*map(set, runs))
-    found = {key: float(np.mean([run[key] for run in runs])) for key in runs[0] if key in common}
-    return found | {"failed": max(run["failed"] for run in runs)}
+    mean = {key: float(np.mean([run[key] for run in runs])) for key in runs[0] if key in common}
+    return mean | {"failed": max(run["failed"] for run in runs)}
 
 
 def _brake(world: ProbeSetup) -> Measured:
-    """Fig. 9: sweeps of R and of NDI's poles, both settings of R with one between them; neighbours of NMPC and NDI."""
+    """Drive Fig. 9: sweeps of R and of the poles of NDI, both R with one between them, neighbours of both."""
     yield BRAKE, NOTHING, nothing(world.scenario(BRAKE))
     for factor in R_FACTORS:
         yield BRAKE, "sweep of R", {f"{name} {factor:g}": value for name, value in _braked(world, factor).items()}
@@ -338,40 +307,39 @@ def _brake(world: ProbeSetup) -> Measured:
     yield BRAKE, NDI, runs[NEIGHBOURS.index(1.0)] | _scatter(runs)
 
 
-def _braked(world: ProbeSetup, factor: float = 1.0, **more) -> dict[str, float]:
-    """Error and distance of NMPC in Fig. 9 with R times a factor."""
-    nmpc = with_r_times(world.parameters["nmpc"], world.r_brake)
-    return _stopped(world, "nmpc", with_r_times(nmpc, factor), **more)
-
-
 def _stopped(world: ProbeSetup, name: str, parameters: dict, **more) -> dict[str, float]:
     return world.experiment(world.scenario(BRAKE), name, parameters, **more).measured(braked)[0]
 
 
+def _braked(world: ProbeSetup, factor: float = 1.0, **more) -> dict[str, float]:
+    """Drive Fig. 9 under NMPC with R times a factor: error and stopping distance."""
+    return _stopped(world, "nmpc", with_r_times(with_r_times(world.parameters["nmpc"], world.r_brake), factor), **more)
+
+
 def _scatter(runs: list[dict[str, float]]) -> dict[str, float]:
-    """Logarithm of largest over smallest value of each metric; infinite where a run failed."""
-    found = pd.DataFrame(runs)
-    return np.log(found.max() / found.min()).fillna(np.inf).add_suffix("_spread").to_dict()
+    """Compute ln(largest / smallest value) of each metric; inf if a run failed."""
+    values = pd.DataFrame(runs)
+    return np.log(values.max() / values.min()).fillna(np.inf).add_suffix("_spread").to_dict()
 
 
 def _share(world: ProbeSetup) -> Measured:
-    """Fig. 9 with a fixed allocation of the torque, and with an NMPC that does not know the base torque."""
+    """Drive Fig. 9 with a fixed allocation of the torque, and under an NMPC that does not know the base torque."""
     yield BRAKE, statements.FIXED, _allocated(world)
     yield BRAKE, statements.UNINFORMED, _braked(world, changes={"informed": False})
 
 
-def _allocated(world: ProbeSetup, ladder: tuple[float, ...] = SHARES, halvings: int = 6) -> dict[str, float]:
-    """Run with the least fixed share of torque with which NMPC guides as well as with a variable one; inf if none."""
+def _allocated(world: ProbeSetup) -> dict[str, float]:
+    """Find the least fixed share of torque that guides as well as a variable one: its run; inf if there is none."""
     enough = statements.GUIDES_AS_WELL * _braked(world)["rmse_y"]
-    tried = ((low, share, _braked(world, fixed_share=share)) for low, share in pairwise(ladder))
-    low, high, found = next((step for step in tried if step[2]["rmse_y"] <= enough), (0.0, np.nan, {}))
-    if not found:
+    tried = ((low, high, _braked(world, fixed_share=high)) for low, high in pairwise(SHARES))
+    low, high, result = next((step for step in tried if step[2]["rmse_y"] <= enough), (0.0, np.nan, {}))
+    if not result:
         return {"rmse_y": np.inf, "stopping_distance": np.inf}
-    for _ in range(halvings):
+    for _ in range(6):
         middle = (low + high) / 2
         values = _braked(world, fixed_share=middle)
-        low, high, found = (low, middle, values) if values["rmse_y"] <= enough else (middle, high, found)
-    return found | {"share": high}
+        low, high, result = (low, middle, values) if values["rmse_y"] <= enough else (middle, high, result)
+    return result | {"share": high}
 
 
 _DRIVE: dict[str, Callable[[ProbeSetup], Measured]] = {
@@ -381,10 +349,10 @@ _DRIVE: dict[str, Callable[[ProbeSetup], Measured]] = {
 
 
 def torque_step(series: pd.DataFrame) -> float:
-    """Mean differential torque over the first wave of the set point less the mean before that wave (N m).
+    """Compute the mean differential torque over the first wave of the set point less the mean before it (N m).
 
-    `series` has the columns front.y_ref and front.du. The wave lasts from the first set point other than 0 to the end
-    of its second half; NaN without a whole wave.
+    `series` has the columns front.y_ref and front.du. The wave starts at the first set point other than 0. NaN without
+    a whole wave.
     """
     reference = series["front.y_ref"].to_numpy()
     begin = int(np.argmax(reference != 0))
@@ -396,10 +364,10 @@ def torque_step(series: pd.DataFrame) -> float:
 
 
 def torque_shift(first: pd.DataFrame, second: pd.DataFrame) -> dict[str, float]:
-    """Lag of the differential torque in the run `second` behind the one in the run `first`, as a dict.
+    """Compute the lag of the differential torque in the run `second` behind the one in the run `first`.
 
-    Both have the columns front.p and front.du. Keys ndi_later, the lag along the track at which the torques correlate
-    best (m, -15 to 40 m), and ndi_alike, their correlation at this lag (-).
+    Both have the columns front.p and front.du. Returns ndi_later, the lag along the track at which the torques
+    correlate best (m, -15 to 40 m), and ndi_alike, their correlation at this lag (-).
     """
     grid = np.arange(60.0, 590.0, 0.25)
     one, other = (np.interp(grid, rows["front.p"], rows["front.du"]) for rows in (first, second))
@@ -410,7 +378,7 @@ def torque_shift(first: pd.DataFrame, second: pd.DataFrame) -> dict[str, float]:
 
 
 def shortfall(series: pd.DataFrame) -> float:
-    """Mean amount by which y falls short of the crests of its set point y* (m): the larger of right and left.
+    """Compute the mean by which y falls short of the crests of its set point y* (m): the larger of right and left.
 
     `series` has the columns front.y and front.y_ref (y*). Crests are rows in which |y*| exceeds 5/6 of its maximum.
     """
@@ -420,20 +388,20 @@ def shortfall(series: pd.DataFrame) -> float:
 
 
 def path_error(series: pd.DataFrame) -> float:
-    """RMS yaw of a gear against the track over the RMS heading of the track (-); 1 if the gear keeps its direction.
+    """Compute the RMS yaw of a running gear against the track over the RMS heading of the track (-).
 
-    `series` has the columns front.psi_TrAx, yaw against the track, and front.psi_Ax, yaw of the gear.
+    1 if the running gear keeps its direction. `series` has the columns front.psi_TrAx (yaw against the track) and
+    front.psi_Ax (yaw).
     """
     heading = series["front.psi_Ax"] - series["front.psi_TrAx"]
     return float(np.sqrt((series["front.psi_TrAx"] ** 2).mean() / (heading**2).mean()))
 
 
 def oscillation(series: pd.DataFrame) -> dict[str, float]:
-    """How y follows its set point in Fig. 8 from p = 240 m on, as a dict; `series` has the columns of
-    `metrics.gear_series`.
+    """Measure how y follows its set point in Fig. 8 from p = 240 m on; `series` as of `metrics.gear_series`.
 
-    set_point_gain: slope of the regression of y on the set point through the origin (-). error_growth: RMS error on the
-    second half of this way over the RMS error on its first half (-).
+    Returns set_point_gain, the slope of the regression of y on the set point through the origin (-), and error_growth,
+    the RMS error on the second half of this distance over the one on the first half (-).
     """
     rows = series[series["front.p"] >= REACHED]
     error, half = rows["front.y"] - rows["front.y_ref"], rows["front.p"] >= rows["front.p"].iloc[[0, -1]].mean()
@@ -443,10 +411,10 @@ def oscillation(series: pd.DataFrame) -> dict[str, float]:
 
 
 def deviation(series: pd.DataFrame, begin: float, end: float) -> float:
-    """Mean relative deviation |f - f*| / |f*| (-) of the adhesion f of a gear from its set point f*.
+    """Compute the mean relative deviation |f - f*| / |f*| (-) of the adhesion f from its set point f*.
 
-    The mean is over the rows of `series` from p = `begin` to p = `end` (m), inf without rows. f is the mean
-    adhesion of both wheels; `series` has the columns of `metrics.gear_series`.
+    The mean is over the rows of `series` (`metrics.gear_series`) from p = `begin` to p = `end` (m), inf without rows; f
+    is the mean adhesion of both wheels of a running gear.
     """
     rows = series[series["front.p"].between(begin, end, inclusive="left")]
     if rows.empty:
@@ -464,10 +432,10 @@ def macro_slips(series: pd.DataFrame, peak: float, slip: float) -> dict[str, flo
         slip (float): Slip at the peak (-). A macro slip begins where the slip of a wheel exceeds this value.
 
     Returns:
-        dict: Numbers. macro_slips: macro slips that begin more than 0.135 s before the end. recovered: such macro slips
-            in which, within 0.135 s, the base torque falls by a tenth and the slip falls below `slip`. approaches: one
-            before each macro slip and one after the last. approached: approaches in which the adhesion reaches
-            0.9 `peak`. A last approach shorter than 110 m counts only if the adhesion reaches this value.
+        dict: macro_slips, number of macro slips that begin more than 0.135 s before the end; recovered, number of them
+            in which, within 0.135 s, the base torque falls by a tenth and the slip falls below `slip`; approaches, one
+            before each macro slip and one after the last; approached, number of approaches in which the adhesion
+            reaches 0.9 `peak`. A last approach shorter than 110 m counts only if it does.
     """
     rows = series[series["front.p"] >= REACHED]
     time, torque = rows["t_s"].to_numpy(), rows["front.u_d"].to_numpy()
@@ -493,13 +461,13 @@ def macro_slips(series: pd.DataFrame, peak: float, slip: float) -> dict[str, flo
 
 
 def adhesion_peak(scenario: Scenario, car: Vehicle) -> tuple[float, float]:
-    """Pair (largest adhesion, its slip) (-) on the poor rail of a scenario, at initial speed and static wheel load."""
+    """Find the adhesion peak and its slip (-) on the poor rail of a scenario, at initial speed and static load."""
     patch = car.wheel_load, *middle_patch(car), car.contact.shear_modulus
     return adhesion_maximum(car.adhesion[scenario.poor], scenario.speed, *patch)
 
 
 def excessive_slip(scenario: Scenario, car: Vehicle) -> float:
-    """Largest slip (-) with more than 0.9 of the adhesion maximum (`adhesion_peak`) left on a scenario's poor rail."""
+    """Find the largest slip (-) at which 0.9 of the adhesion peak (`adhesion_peak`) is left."""
     (peak, best), (a, b, kalker) = adhesion_peak(scenario, car), middle_patch(car)
     slips, rail = np.geomspace(best, 1.0, 2000), astuple(car.adhesion[scenario.poor])
     contact = car.wheel_load, a, b, *kalker, car.contact.shear_modulus, *rail
@@ -508,32 +476,30 @@ def excessive_slip(scenario: Scenario, car: Vehicle) -> float:
 
 
 def nominal(settings: Iterable[str] = COLUMNS) -> pd.DataFrame:
-    """Simulate the runs of `probe` with the nominal car in columns of verdicts: one row per metric of a run.
+    """Simulate the probes of the nominal car in columns of verdicts: one row per metric of a run.
 
     Columns scenario, controller, metric, value (in `unit`), unit, setting (one of `COLUMNS`), swarm (rank of the
     parameter set by cost, 0 is the tuned set), seed (of the sensor noise; 0 without sensors).
     """
     tasks = []
-    for each in settings:
-        seeds = SEEDS if each == LOOP else (0,)
-        for rank, seed in [(0, seed) for seed in seeds] + [(rank, seeds[0]) for rank in (1, 2)]:
+    for setting in settings:
+        seeds = SEEDS if setting == LOOP else (0,)
+        for rank, seed in [*product([0], seeds), (1, seeds[0]), (2, seeds[0])]:
             # braking takes most of the time: once per setting
             parts = (*PARTS, *ONCE) if rank == 0 and seed == seeds[0] else PARTS[:-1]
-            tasks += [(each, rank, seed, part) for part in parts]
+            tasks += [(setting, rank, seed, part) for part in parts]
 
     def driven(task: tuple[str, int, int, str]) -> list[tuple]:
         setting, rank, seed, part = task
-        rows = probe(setup({}, setting, rank=rank, seed=seed), (part,))
-        return [(*row, UNITS.get(row[2], "-"), setting, rank, seed) for row in rows]
+        metrics = probe(setup({}, setting, rank=rank, seed=seed), (part,))
+        return [(*key, value, UNITS.get(key[2], "-"), setting, rank, seed) for key, value in metrics.items()]
 
-    found = ordered_map(driven, tasks, "nominal")
-    columns = ["scenario", "controller", "metric", "value", "unit", "setting", "swarm", "seed"]
-    return pd.DataFrame([row for rows in found for row in rows], columns=columns)
+    rows = [row for rows in ordered_map(driven, tasks, "nominal") for row in rows]
+    return pd.DataFrame(rows, columns=["scenario", "controller", "metric", "value", "unit", "setting", "swarm", "seed"])
 
 
 def main(settings: Sequence[str] = ()) -> None:
-    """Write data/results/nominal_metrics.csv: `nominal` in some columns of verdicts (default all), InputError for
-    others."""
+    """Write data/results/nominal_metrics.csv: `nominal` in some columns of verdicts (default all)."""
     unknown = set(settings) - set(COLUMNS)
     if unknown:
         raise InputError(f"setting {min(unknown)!r} is not known; there are {COLUMNS}")

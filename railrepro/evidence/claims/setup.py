@@ -1,8 +1,8 @@
-"""Setup of a probe: car, controllers and choices for the experiments, and the one mapping from names to these."""
+"""Setup of a probe: car, controllers and choices for the experiments, made from values by name."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Annotated, Any
 
@@ -20,13 +20,13 @@ _FACTOR = Annotated[float, above(0.0, 1e6)]
 
 @dataclass(frozen=True)
 class ProbeSetup(World):
-    """A `World` with the choices for the paper's experiments that the paper leaves open.
+    """A `World` with choices for the experiments that the paper leaves open.
 
     Attributes:
-        amplitude_mm, period_start_m, period_end_m, clothoid_factor (float): Set point of Fig. 6: amplitude, first and
-            last period (mm, m); factor on the clothoid length of T3 (-).
-        r_second (float): Further factor on R, besides r_brake, for the second NMPC of Fig. 9 (-).
+        amplitude_mm, period_start_m, period_end_m (float): Set point of Fig. 6: amplitude, first and last period.
+        clothoid_factor (float): Factor on the length of the clothoid of T3 (-).
         r_loss, r_brake (float): Factors on the weight R of NMPC in Fig. 8 and in Fig. 9 (-).
+        r_second (float): Further factor on R for the second NMPC of Fig. 9 (-).
         brake_sweep (dict): Changed entries of the set point of Fig. 9, as {"period_end_m": 30.0}.
         ltv (str): Controller that stands for LTV-MPC: "ltv_mpc_printed", or "ltv_mpc", which keeps its affine term.
     """
@@ -43,117 +43,97 @@ class ProbeSetup(World):
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if self.ltv not in LTV:
-            raise InputError(f"ltv is {self.ltv!r}, one of {LTV} is needed")
+        if self.ltv not in (allowed := (MPC[1], "ltv_mpc")):
+            raise InputError(f"ltv is {self.ltv!r}, one of {allowed} is needed")
 
     def checked(self) -> ProbeSetup:
-        """This setup, after car, controllers and scenarios were made of it. InputError for a value that they refuse."""
+        """Return this setup; InputError if car, controllers or scenarios refuse one of its values."""
         self.car(), self.scenario(T3), self.scenario(BRAKE)
         for name, parameters in self.parameters.items():
             guidance(name, parameters)
         return self
 
-    @property
-    def profile(self) -> str:
-        """Wheel profile of the simulated car, "" for that of data/vehicle.toml."""
-        return self.plant.get("contact.profile", "")
-
     def driver(self, controller: str) -> str:
-        """Key of `registry.CONTROLLERS` that drives under the name `controller`: for LTV-MPC it is `ltv`."""
+        """Return the key of `registry.CONTROLLERS` that drives under the name `controller`: for LTV-MPC it is `ltv`."""
         return self.ltv if controller == MPC[1] else controller
 
     def scenario(self, name: str) -> Scenario:
-        """Scenario of data/scenarios.toml by name; those of Figs. 6 and 9 have the set points of this setup."""
+        """Load a scenario of data/scenarios.toml by name; Figs. 6 and 9 get the set points of this setup."""
         base = load_scenario(name)
         sweep = {key: getattr(self, key) for key in ("amplitude_mm", "period_start_m", "period_end_m")}
         chosen = {T3: sweep, BRAKE: self.brake_sweep}.get(name, {})
         return base.but(set_point=base.set_point | chosen)
 
     def stretched(self) -> Alignment | None:
-        """Alignment of T3 with its clothoid `clothoid_factor` times as long; None when the factor is 1."""
+        """Stretch the clothoid of T3 by `clothoid_factor`; None when the factor is 1."""
         if self.clothoid_factor == 1.0:
             return None
-        original = alignments()["T3"]
-        straight, clothoid, *rest = original.segments
+        straight, clothoid, *rest = alignments()["T3"].segments
         clothoid = replace(clothoid, length=clothoid.length * self.clothoid_factor)
-        return replace(original, segments=(straight, clothoid, *rest))
+        return replace(alignments()["T3"], segments=(straight, clothoid, *rest))
 
 
 SWARM = "swarm"
 COLUMNS = (PAPER, SWARM, LOOP)
-"""Columns of verdicts: the settings of comparison, and "swarm": the setting `paper` with the poles of NDI that the
-swarm found in place of those by the rule."""
+"""Columns of verdicts: the settings of comparison, and "swarm": the setting `paper` in which NDI has the poles that the
+swarm found in place of the poles by the rule."""
+LTV_R, POLE, PROFILE, SWEEP = "ltv_mpc_printed.r", "ndi.pole", "profile", "brake_sweep"
+_CHOICES = {one.name for one in fields(ProbeSetup)} - {one.name for one in fields(World)}
+"""Fields of `ProbeSetup` that may be keys of the argument `values` of `setup`."""
 
 
 def setting_of(column: str) -> str:
-    """Setting of comparison of a column of verdicts."""
+    """Return the setting of comparison of a column of verdicts."""
     return PAPER if column == SWARM else column
 
 
-LTV = (MPC[1], "ltv_mpc")
-"""Controllers that may stand for LTV-MPC."""
-LTV_R, POLE = "ltv_mpc_printed.r", "ndi.pole"
-_CHOICES = {one.name for one in fields(ProbeSetup)} - {one.name for one in fields(World)}
-"""Fields of `ProbeSetup` that may be keys of the argument `values` of `setup`."""
-PROFILE = "profile"
-"""Key of `values` for the wheel profile of the simulated car, which its controllers do not know."""
-
-
-def setup(
-    values: Mapping[str, Any],
-    column: str = PAPER,
-    *,
-    controllers: Iterable[str] = PAPER_TRIO,
-    rank: int = 0,
-    seed: int | None = None,
-) -> ProbeSetup:
-    """Make a `ProbeSetup` from values by name; all that is not named is as on the uncalibrated car.
+def setup(values: Mapping[str, Any], column: str = PAPER, *, rank: int = 0, seed: int | None = None) -> ProbeSetup:
+    """Make a `ProbeSetup` from values by name; all else is as on the uncalibrated car.
 
     Args:
-        values (mapping): Keys: choices of `ProbeSetup`; "profile"; "brake_sweep:ENTRY", as "brake_sweep:period_end_m"
-            (set point of Fig. 9); "CONTROLLER:PARAMETER", as "nmpc:r"; "ndi.pole" (triple pole, rad/s);
-            "ltv_mpc_printed.r" (LTV-MPC takes the weights of NMPC with R times this); dotted keys of the vehicle.
+        values (mapping): Keys: choices of `ProbeSetup`; "profile" (wheels of the simulated car, unknown to its
+            controllers); "brake_sweep:ENTRY", as "brake_sweep:period_end_m" (set point of Fig. 9);
+            "CONTROLLER:PARAMETER", as "nmpc:r"; "ndi.pole" (triple pole, rad/s); "ltv_mpc_printed.r" (LTV-MPC has the
+            weights of NMPC with R times this); dotted keys of the vehicle.
         column (str): Column of verdicts, one of `COLUMNS`, from which tuning parameters are taken.
-        controllers (iterable of str): Controllers whose tuning parameters are taken.
         rank (int): Rank of the parameter set among the swarms by cost; 0, or a rank beyond them, is the tuned set.
         seed (int, optional): Seed of the sensors in the setting "loop". Without it, and in other settings, controllers
             get the true signals.
 
     Raises:
-        InputError: For a key of no such kind, or a factor that is none. `ProbeSetup.checked` checks the other values.
+        InputError: For an unknown key or column, or a factor out of range. `ProbeSetup.checked` checks other values.
     """
     require("column", column, str)
     if column not in COLUMNS:
         raise InputError(f"column {column!r} is not known; there are {list(COLUMNS)}")
-    parameters = {name: _tuned(name, column, rank) for name in controllers}
-    if LTV_R in values:
-        require(LTV_R, values[LTV_R], above(0.0, 1e6))
-        parameters[MPC[1]] = with_r_times(parameters["nmpc"], values[LTV_R])
-    if POLE in values:
-        parameters[NDI] = triple_pole(values[POLE])
-    sensors = {"seed": seed} if seed is not None and column == LOOP else {}
+    parameters, rest = {name: _tuned(name, column, rank) for name in PAPER_TRIO}, dict(values)
+    if LTV_R in rest:
+        require(LTV_R, rest[LTV_R], above(0.0, 1e6))
+        parameters[MPC[1]] = with_r_times(parameters["nmpc"], rest.pop(LTV_R))
+    if POLE in rest:
+        parameters[NDI] = triple_pole(rest.pop(POLE))
+    profile, sweep = rest.pop(PROFILE, ""), rest.pop(SWEEP, {})
+    require(SWEEP, sweep, dict)
+    choices: dict[str, Any] = {SWEEP: dict(sweep)}
     vehicle: dict[str, Any] = {}
-    plant = {"contact.profile": values[PROFILE]} if values.get(PROFILE) else {}
-    require("brake_sweep", values.get("brake_sweep", {}), dict)
-    own: dict[str, Any] = {"brake_sweep": dict(values.get("brake_sweep", {}))}
-    parts = parameters | {"brake_sweep": own["brake_sweep"]}
-    for name, value in values.items():
+    parts = parameters | choices
+    for name, value in rest.items():
         part, colon, key = name.partition(":")
-        if name in (LTV_R, POLE, PROFILE, "brake_sweep"):
-            continue  # set above, before single parameters and entries of these
         if name in _CHOICES:
-            own[name] = value
+            choices[name] = value
         elif colon and part in parts:
             parts[part][key] = value
         elif "." in name and not colon:
             vehicle[name] = value
         else:
-            raise InputError(f"{name!r} is set, which nothing has")
-    return ProbeSetup(parameters, setting_of(column), vehicle, plant, sensors, **own)
+            raise InputError(f"{name!r} is no choice of the probe and no parameter of a controller or of the vehicle")
+    plant = {"contact.profile": profile} if profile else {}
+    sensors = {"seed": seed} if seed is not None and column == LOOP else {}
+    return ProbeSetup(parameters, setting_of(column), vehicle, plant, sensors, **choices)
 
 
 def _tuned(controller: str, column: str, rank: int) -> dict[str, Any]:
-    searched = f"{controller}_swarm" if column == SWARM and controller == NDI else controller
-    found = sets.load(searched, setting_of(column))
-    swarms = sorted(found.get("swarms", []), key=lambda swarm: swarm["cost"])
-    return dict(swarms[rank]["parameters"] if 0 < rank < len(swarms) else found["parameters"])
+    by_swarm = f"{controller}_swarm" if column == SWARM and controller == NDI else controller
+    tuned = sets.load(by_swarm, setting_of(column))
+    swarms = sorted(tuned.get("swarms", []), key=lambda swarm: swarm["cost"])
+    return dict(swarms[rank]["parameters"] if 0 < rank < len(swarms) else tuned["parameters"])

@@ -73,7 +73,7 @@ def flips(answered: Mapping[str, Question]) -> pd.DataFrame:
     stated = {key.partition(":")[0] for question in answered.values() for key in question.sets}
     spread = {key: value for key, value in known.spread.items() if key[1] not in stated}
     before = statements.findings(known)
-    after = statements.findings(Evidence(metrics | {row[:3]: row[3] for row in rows}, spread))
+    after = statements.findings(Evidence(metrics | rows, spread))
     found = []
     for identity, rule in statements.load().items():
         if identity in before and identity in after:

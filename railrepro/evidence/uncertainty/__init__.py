@@ -1,1 +1,1 @@
-"""How far a result depends on what the paper does not publish: robustness, margins."""
+"""How results depend on what the paper does not publish: robustness, stability margins, limits with sensors."""

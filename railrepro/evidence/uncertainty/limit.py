@@ -1,17 +1,14 @@
-r"""How small the lateral error with sensors can be: a linear-quadratic-Gaussian bound.
+r"""Lower bound of the lateral error with sensors: a linear-quadratic-Gaussian (LQG) controller.
 
-The creep model of a gear (`railrepro.own.gear_model`) with disturbances and biases as slow Gauss-Markov processes is
-a linear system under white noise:
-
-    x_(k+1) = A x_k + B (du_k - du_(k-1)) + w_k,    z_k = C x_k + v_k
-
-For it no causal law, linear or not, has a smaller  q E[y^2] + rho E[(du_k - du_(k-1))^2]  than the feedback of the
-filtered states with the gains of two Riccati equations. Filtered states and their errors are uncorrelated, so
+The creep model of a running gear (`railrepro.own.gear_model`), with disturbances and biases as slow Gauss-Markov
+processes, is a linear system under white noise (`System`). For it no causal law, linear or not, has a smaller
+q E[y^2] + rho E[(du_k - du_(k-1))^2]  than the feedback L of the states that a Kalman filter estimates. Estimates and
+their errors are uncorrelated, so
 
     E[y^2] = c (Sigma + P) c',    Sigma = (A - B L) Sigma (A - B L)' + K S K'
 
-with covariance P of the filter's error, its gain K and innovation covariance S, feedback L. Road and set point are
-known and cost nothing. rho trades error for torque: the bound is that at a stated activity of the torque above 5 Hz.
+with covariance P of the errors, gain K of the filter and innovation covariance S. Track and set point are known and
+cost nothing. rho trades error for torque: the bound belongs to a given activity of the torque above 5 Hz.
 
 Source: Anderson and Moore 1990, Optimal Control, ch. 8 (separation); Anderson and Moore 1979, Optimal Filtering, ch. 4.
 """
@@ -30,31 +27,28 @@ from railrepro.estimation.sensors import Loop
 from railrepro.own.gear_model import STATES, UNITS, UNKNOWN, lateral_model
 from railrepro.vehicle.parameters import Vehicle
 
-BIASES = ("y", "psi", "r")
-"""Readings with a bias each."""
+BIASES = ("y", "psi", "r")  # readings with a bias each
 MEMORY = 30.0
-"""Time constant of biases and disturbances, longer than any run: their decay gives no information (s)."""
+"""Time constant of biases and disturbances (s), longer than any run: their decay gives no information."""
 ACTIVITY = 115.0
-"""Torque above 5 Hz at which the bound is stated (N m, RMS): what the tuned controllers spend on dry rail."""
-_CUT, _ORDER = 5.0, 4
-"""High-pass of `railrepro.simulation.metrics.activity`: frequency (Hz) and order, applied twice."""
-_QUIET = 1e-9
-"""Share of its unit by which each state wanders in a period anyway, which keeps the equations regular."""
+"""Torque above 5 Hz (N m, RMS) of the tuned controllers on dry rail, for which the bound is stated."""
+_CUT, _ORDER = 5.0, 4  # high-pass of `railrepro.simulation.metrics.activity`: frequency (Hz) and order, applied twice
+_QUIET = 1e-9  # process noise of each state in a period, in its unit, which keeps the equations regular
 Y, TORQUE = STATES.index("y"), len(STATES) + len(UNKNOWN) + len(BIASES)
 """Indices of the displacement and of the newest torque command among the states of a `System`."""
 
 
 class System(NamedTuple):
-    """Linear system of a gear behind sensors: x_(k+1) = a x_k + b (du_k - du_(k-1)) + w_k, z_k = c x_k + v_k.
+    """Linear system of a running gear with sensors: x_(k+1) = a x_k + b (du_k - du_(k-1)) + w_k, z_k = c x_k + v_k.
 
-    Period 1 ms; states x in multiples of `units`; w and v are white noise.
+    The period is 1 ms, states x are in multiples of `units`, w and v are white noise.
 
     Attributes:
         a (ndarray, shape (n, n)): Transition matrix A.
         b (ndarray, shape (n,)): Input vector B of the change of differential torque in a period (per N m).
         c (ndarray, shape (3, n)): Output matrix C: readings of y, psi, yaw rate r in units of their noise (RMS).
-        q (ndarray, shape (n, n)): Covariance of w per period; that of v is the unit matrix.
-        units (ndarray, shape (n,)): SI value of one unit of each state; of a torque 100 N m.
+        q (ndarray, shape (n, n)): Covariance of w per period; the covariance of v is the unit matrix.
+        units (ndarray, shape (n,)): SI value of one unit of each state; 100 N m for a torque.
     """
 
     a: np.ndarray
@@ -65,87 +59,89 @@ class System(NamedTuple):
 
 
 def system(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float]) -> System:
-    """Build the linear system of a gear at a constant speed (m/s) behind the sensors `loop`.
+    """Build the linear system of a running gear at a constant speed (m/s) with the sensors `loop`.
 
     `walks` are the intensities of the random walks of lateral force (N/s^0.5) and yaw moment (N m/s^0.5). States: those
-    of `railrepro.own.gear_model`; force and moment; biases of y, psi, r; torque commands on their way, newest first.
+    of `railrepro.own.gear_model`; force and moment; biases of y, psi, r; delayed torque commands, newest first.
     """
     h, n = CONTROL_PERIOD, len(STATES)
     rates, du, _, unknown = lateral_model(vehicle, speed)
     inputs = np.column_stack([du, unknown])
-    step, held, *_ = cont2discrete((rates, inputs, np.zeros((1, n)), np.zeros((1, inputs.shape[1]))), h)
-    late = max(round((loop.latency.measurement + loop.latency.command) / h), 1)
-    size = TORQUE + late + 1
+    transition, response, *_ = cont2discrete((rates, inputs, np.zeros((1, n)), np.zeros((1, inputs.shape[1]))), h)
+    delays = max(round((loop.latency.measurement + loop.latency.command) / h), 1)
+    size = TORQUE + delays + 1
     a, b, c = np.zeros((size, size)), np.zeros(size), np.zeros((len(BIASES), size))
-    a[:n, :n], a[:n, n : n + len(UNKNOWN)] = step, held[:, 1:]
-    a[:n, -1] = held[:, 0]  # the last torque of the chain acts
+    a[:n, :n], a[:n, n : n + len(UNKNOWN)] = transition, response[:, 1:]
+    a[:n, -1] = response[:, 0]  # the last torque of the chain acts
     a[n:TORQUE, n:TORQUE] = np.exp(-h / MEMORY) * np.eye(TORQUE - n)
     a[TORQUE, TORQUE] = b[TORQUE] = 1.0
-    a[TORQUE + 1 :, TORQUE:-1] = np.eye(late)
+    a[TORQUE + 1 :, TORQUE:-1] = np.eye(delays)
     for row, name in enumerate(BIASES):
         c[row, STATES.index(name)] = c[row, n + len(UNKNOWN) + row] = 1.0
     noise, spread = loop.lateral_errors()
     noise, spread = np.maximum(noise, 1e-9), np.maximum(spread, 1e-12)
-    walked = np.concatenate([np.square(walks) * h, (1 - np.exp(-2 * h / MEMORY)) * spread**2])
-    units = np.concatenate([UNITS, np.sqrt(walked / h), np.full(late + 1, 100.0)])
+    variances = np.concatenate([np.square(walks) * h, (1 - np.exp(-2 * h / MEMORY)) * spread**2])
+    units = np.concatenate([UNITS, np.sqrt(variances / h), np.full(delays + 1, 100.0)])
     q = np.diag((_QUIET * units) ** 2)
-    q[n:TORQUE, n:TORQUE] += np.diag(walked)
-    q[:n, :n] += held[:, 1:] @ np.diag(walked[: len(UNKNOWN)]) @ held[:, 1:].T / 3  # of the walk within the period
+    q[n:TORQUE, n:TORQUE] += np.diag(variances)
+    # the walk within the period
+    q[:n, :n] += response[:, 1:] @ np.diag(variances[: len(UNKNOWN)]) @ response[:, 1:].T / 3
     scale = units / units[:, None]
     return System(a * scale, b / units, c * units / noise[:, None], q / np.outer(units, units), units)
 
 
 def limit(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float], activity: float = ACTIVITY) -> float:
-    """Lower bound of the lateral error (m) of all causal laws with a given differential torque above 5 Hz.
+    """Compute the lower bound of the lateral error (m) of all causal laws with a given torque above 5 Hz.
 
     The error is the standard deviation of y from the set point at the measured track coordinate. `activity` is the RMS
-    of the torque above 5 Hz (N m). `loop` are the sensors, `speed` is in m/s, `walks` are disturbances as in `system`.
+    of the differential torque above 5 Hz (N m). `loop` are the sensors, `speed` is in m/s, `walks` are as in `system`.
     """
-    of = system(vehicle, loop, speed, walks)
-    log_weight = brentq(lambda log: np.log(at_weight(of, 10.0**log)[2] / activity), -10.0, 0.0, xtol=1e-3)
-    return at_weight(of, 10.0**log_weight)[0]
+    plant = system(vehicle, loop, speed, walks)
+    log_weight = brentq(lambda log: np.log(at_weight(plant, 10.0**log)[2] / activity), -10.0, 0.0, xtol=1e-3)
+    return at_weight(plant, 10.0**log_weight)[0]
 
 
-def at_weight(of: System, weight: float) -> tuple[float, float, float]:
-    """Standard deviations under the optimal law (`feedback`) for a `weight` of the torque change (1/(N m)^2).
+def at_weight(plant: System, weight: float) -> tuple[float, float, float]:
+    """Compute standard deviations under the optimal law (`feedback`) for a `weight` of the torque change (1/(N m)^2).
 
-    Returns a triple: y (m); part of y that no torque removes, the Kalman filter's error (m); torque above 5 Hz (N m).
+    Returns y (m), the part of y that no torque removes, which is the error of the Kalman filter (m), and the torque
+    above 5 Hz (N m).
     """
-    p, m = np.zeros_like(of.a), TORQUE  # the torques are known
-    p[:m, :m] = solve_discrete_are(of.a[:m, :m].T, of.c[:, :m].T, of.q[:m, :m], np.eye(len(of.c)))
-    innovation = of.c @ p @ of.c.T + np.eye(len(of.c))
-    gain = p @ of.c.T @ np.linalg.inv(innovation)
-    after, driven = p - gain @ of.c @ p, gain @ innovation @ gain.T
-    closed = of.a - np.outer(of.b, feedback(of, weight))
+    p, m = np.zeros_like(plant.a), TORQUE  # the torques are known
+    p[:m, :m] = solve_discrete_are(plant.a[:m, :m].T, plant.c[:, :m].T, plant.q[:m, :m], np.eye(len(plant.c)))
+    innovation = plant.c @ p @ plant.c.T + np.eye(len(plant.c))
+    gain = p @ plant.c.T @ np.linalg.inv(innovation)
+    error, driven = p - gain @ plant.c @ p, gain @ innovation @ gain.T
+    closed = plant.a - np.outer(plant.b, feedback(plant, weight))
     filtered = solve_discrete_lyapunov(closed, (driven + driven.T) / 2)
-    known, whole, unit = after[Y, Y], filtered[Y, Y] + after[Y, Y], of.units[Y]
-    torque = of.units[TORQUE] * _above(closed, gain @ np.linalg.cholesky(innovation), TORQUE)
+    known, whole, unit = error[Y, Y], filtered[Y, Y] + error[Y, Y], plant.units[Y]
+    torque = plant.units[TORQUE] * _above(closed, gain @ np.linalg.cholesky(innovation), TORQUE)
     return float(unit * np.sqrt(whole)), float(unit * np.sqrt(known)), float(torque)
 
 
-def feedback(of: System, weight: float) -> np.ndarray:
-    """Optimal gain L (N m), shape (n,), of the law du_k - du_(k-1) = -L x for a system, x in multiples of its units.
+def feedback(plant: System, weight: float) -> np.ndarray:
+    """Compute the gain L (N m), shape (n,), of the optimal law du_k - du_(k-1) = -L x, x in `System.units`.
 
-    L minimises E[y^2] + weight E[(du_k - du_(k-1))^2] with y in `System.units`.
+    L minimises E[y^2] + weight E[(du_k - du_(k-1))^2] with y in its unit.
     """
-    cost, unit = np.zeros_like(of.a), of.units[TORQUE]
+    cost, unit = np.zeros_like(plant.a), plant.units[TORQUE]
     cost[Y, Y] = 1.0
-    b = of.b[:, None] * unit  # in units of the torque the equation is well scaled
-    p = solve_discrete_are(of.a, b, cost, np.array([[weight * unit**2]]))
-    return unit * (b.T @ p @ of.a)[0] / float(weight * unit**2 + (b.T @ p @ b)[0, 0])
+    b = plant.b[:, None] * unit  # in units of the torque the equation is well scaled
+    p = solve_discrete_are(plant.a, b, cost, np.array([[weight * unit**2]]))
+    return unit * (b.T @ p @ plant.a)[0] / float(weight * unit**2 + (b.T @ p @ b)[0, 0])
 
 
-def with_place(error: float, slopes: np.ndarray, loop: Loop) -> float:
-    """Bound of the lateral error (m) from the set point y*(p) at the true track coordinate p.
+def at_true_position(error: float, slopes: np.ndarray, loop: Loop) -> float:
+    """Convert a bound `error` (m) from the set point at the measured track coordinate to one at the true coordinate.
 
-    `error` is the bound (m) from y* at the measured p, whose bias adds an error: standard deviation of the bias of
-    `loop` times RMS of `slopes` dy*/dp (-), shape (n,). The result is the root of the sum of squares of both.
+    The root of squares adds the standard deviation of the measured coordinate times the RMS of `slopes` dy*/dp, shape
+    (n,).
     """
     return float(np.hypot(error, loop.position.bias / np.sqrt(3) * np.sqrt(np.mean(np.square(slopes)))))
 
 
 def _above(closed: np.ndarray, noise: np.ndarray, state: int) -> float:
-    """Standard deviation of a state above 5 Hz, from x_(k+1) = closed x_k + noise e_k with white e of unit variance."""
+    """Compute the deviation above 5 Hz of a state of x_(k+1) = closed x_k + noise e_k with white e of variance 1."""
     h, n = CONTROL_PERIOD, len(closed)
     f = np.geomspace(_CUT / 4, 0.5 / h, 300)
     passed = 1 / (1 + (np.tan(np.pi * _CUT * h) / np.tan(np.minimum(np.pi * f * h, 1.57))) ** (2 * _ORDER))

@@ -1,8 +1,8 @@
-"""The closed loop with sensors over unseen seeds: the project's controller, rivals, and the bound of `limit`.
+"""Closed loop with sensors, over seeds that tuning has not seen: LQG with preview, rivals, and the bound of `limit`.
 
-Kinds of runs in loop_table.csv: `loop` are the runs of tuning with other seeds, `stressed` has what tuning's stressed
-run has, `held out` is what tuning never sees, `irregular` are rails of two classes from 80 to 400 km/h. Errors count
-from the set point at the true position of a gear.
+Kinds of runs in loop_table.csv: `loop`, the runs of tuning with other seeds; `stressed`, the stress of tuning; `held
+out`, conditions that tuning never sees; `irregular`, rails of two classes from 80 to 400 km/h. Errors count from the
+set point at the true position of a running gear.
 """
 
 from __future__ import annotations
@@ -25,24 +25,19 @@ from railrepro.studies.executor import ordered_map
 from railrepro.studies.experiment import Experiment
 from railrepro.vehicle.parameters import load_vehicle
 
-SEEDS = tuple(range(201, 225))
-"""Draws of noise and biases; tuning and the chapters use others."""
-FEW = SEEDS[:3]
-"""Seeds of the runs on irregular rails, which also draw the rails."""
-COMPARED = (OURS, "ndi_feedforward", "ndi_integral", "nmpc_observer")
-"""The project's own controller, and each other one that is best in any row."""
-_ROW = ["kind", "case"]
+SEEDS = tuple(range(201, 225))  # of noise and biases; tuning and the chapters use others
+FEW = SEEDS[:3]  # seeds of the runs on irregular rails, which also draw the rails
+COMPARED = (OURS, "ndi_feedforward", "ndi_integral", "nmpc_observer")  # LQG, and each other that is best in any row
 _STILL = 1.0, 0.1
 """Walks of force and moment so slow that sensors alone limit the error (N/s^0.5, N m/s^0.5)."""
-_CLASSES = {80: "80", 160: "160", 280: "300", 400: "300"}
-"""Speed (km/h) and class of speed of its rails."""
+_CLASSES = {80: "80", 160: "160", 280: "300", 400: "300"}  # speed (km/h) -> speed class of its rails
 _STRESS = {"plant": {"drive.lag": 0.0075}, "sensors": {"inverter.delay": 0.002, "inverter.gain": 1.2}}
 _FAST, _CURVE, _POOR = "sine_tracking", "curve_entry_T3", "adhesion_loss"
 _PATCH = ((0.0, 0.0), (200.0, 0.0), (201.0, 1.0), (300.0, 1.0), (301.0, 0.0))
 
 
 def experiments() -> list[Experiment]:
-    """All runs of data/results/loop_table.csv, from calls of `row`; their labels have the keys kind and case."""
+    """List all runs of data/results/loop_table.csv; their labels have the keys kind and case."""
     ends = {"curve_entry_T1": 50.0, "curve_entry_T2": 200.0, _CURVE: 280.0, "curve_entry_T4": 330.0, _FAST: 250.0}
     runs = [run for name, end in ends.items() for run in row("loop", name, name, {"end_m": end})]
     short, sine, curve = {"end_m": 500.0}, {"end_m": 250.0}, {"end_m": 280.0}
@@ -72,75 +67,70 @@ def experiments() -> list[Experiment]:
 
 
 def row(kind: str, case: str, scenario: str, change: dict, **more) -> list[Experiment]:
-    """Runs of one case of loop_table.csv, with each controller of `COMPARED` and each of `SEEDS`.
+    """List the runs of one case of loop_table.csv: each controller of `COMPARED` with each of `SEEDS`.
 
     `kind` and `case` label the runs. With the kind "irregular" the seeds are `FEW`, and each also draws the rails.
     `scenario` is a name, `change` has changed fields of this scenario, `more` further fields of `Experiment`.
     """
-    driven, label = load_scenario(scenario).but(**change), {"kind": kind, "case": case}
-    runs = []
+    driven, runs = load_scenario(scenario).but(**change), []
+    more |= {"label": {"kind": kind, "case": case}, "setting": LOOP}
     for name, seed in product(COMPARED, FEW if kind == "irregular" else SEEDS):
-        changed = more | {"sensors": {"seed": seed} | more.get("sensors", {})}
+        seeded = {"sensors": {"seed": seed} | more.get("sensors", {})}
         if kind == "irregular":
-            changed["irregular"] = more["irregular"] | {"seed": seed}
-        quick = CONTROLLERS[name].quick
-        runs.append(Experiment(driven, name, label, options=quick, setting=LOOP, **changed))
+            seeded["irregular"] = more["irregular"] | {"seed": seed}
+        runs.append(Experiment(driven, name, options=CONTROLLERS[name].quick, **more | seeded))
     return runs
 
 
 def limit_of(run: Experiment) -> dict:
-    """Lower bounds of the RMS lateral error y - y* that the sensors allow in a run (`limit.limit`), as a dict.
+    """Compute the lower bounds of the RMS error y - y* that the sensors allow in a run (`limit.limit`).
 
-    Keys limit_mm, with y* at the true track coordinate, and limit_at_believed_place_mm, with y* at the measured one
-    (mm). Empty unless the run is of the kind "loop" on ideal dry rails.
+    Returns limit_mm, with y* at the true track coordinate, and limit_at_believed_place_mm, with y* at the measured one
+    (mm); {} unless the run is of the kind "loop" on ideal dry rails.
     """
     scenario, loop = run.scenario, load_loop()
     if run.label["kind"] != "loop" or run.irregular or scenario.poor_share:
         return {}
     slope = scenario.route().reference_at(np.arange(0.0, scenario.end_m, 0.5))[1]
-    believed = limit.limit(load_vehicle(), loop, scenario.speed, _STILL)
-    return {"limit_mm": 1e3 * limit.with_place(believed, slope, loop), "limit_at_believed_place_mm": 1e3 * believed}
+    bound = limit.limit(load_vehicle(), loop, scenario.speed, _STILL)
+    return {"limit_mm": 1e3 * limit.at_true_position(bound, slope, loop), "limit_at_believed_place_mm": 1e3 * bound}
 
 
 def followed(run: simulate.Run, _experiment: Experiment) -> store.Entry:
-    """Metrics of a run with sensors; a measure for `Experiment.measured`, so it returns (dict, None).
-
-    Keys error_mm and rear_mm, RMS error of front and rear gear from the actual rails (mm); activity_Nm, RMS of the
-    front torque above 5 Hz (N m); failed, whether the run failed or reached the flanges. If failed, the others are NaN.
-    """
+    """Measure error_mm and rear_mm, RMS errors of both running gears from the actual rails (mm), activity_Nm, RMS of
+    the front torque above 5 Hz (N m), and failed, also if a flange was reached; the others are NaN then."""
     if run.failed or metrics.reaches_flange(run.series):
         return dict.fromkeys(("error_mm", "rear_mm", "activity_Nm"), float("nan")) | {"failed": True}, None
     front, rear = (1e3 * metrics.followed_rmse(run.series, gear) for gear in simulate.GEARS)
     return {"error_mm": front, "rear_mm": rear, "activity_Nm": metrics.activity(run.series), "failed": False}, None
 
 
-def _rms(values: pd.Series) -> float:
-    return float(np.sqrt(np.mean(np.square(values.dropna()))))
-
-
 def table(runs: Sequence[Experiment]) -> pd.DataFrame:
     """Run experiments in parallel and summarise them over the seeds: one row per kind, case and controller.
 
-    Columns kind, case, controller; seeds, number of runs; failed, number of runs that failed or reached the flanges. Of
-    all other runs: error_mm, rear_mm, RMS error of front and rear gear (mm); spread_mm, standard deviation of error_mm
-    between seeds (mm); activity_Nm, mean RMS of the front torque above 5 Hz (N m). Further columns: keys of `limit_of`.
+    Columns kind, case, controller; seeds, number of runs; failed, number of failed runs; of the others error_mm,
+    rear_mm, activity_Nm as in `followed`, RMS or mean over the seeds, and spread_mm, standard deviation of error_mm
+    between seeds (mm); keys of `limit_of`.
     """
 
     def driven(run: Experiment) -> dict:
         return run.label | {"controller": run.controller} | run.measured(followed)[0]
 
+    def rms(values: pd.Series) -> float:
+        return float(np.sqrt(np.mean(np.square(values.dropna()))))
+
     rows = pd.DataFrame(ordered_map(driven, runs, "loop"))
-    measured = rows.groupby([*_ROW, "controller"], sort=False).agg(
+    measured = rows.groupby(["kind", "case", "controller"], sort=False).agg(
         seeds=("failed", "size"),
         failed=("failed", "sum"),
-        error_mm=("error_mm", _rms),
+        error_mm=("error_mm", rms),
         spread_mm=("error_mm", "std"),
-        rear_mm=("rear_mm", _rms),
+        rear_mm=("rear_mm", rms),
         activity_Nm=("activity_Nm", "mean"),
     )
     first = {tuple(run.label.values()): run for run in reversed(runs)}
     limits = pd.DataFrame([run.label | limit_of(run) for run in first.values()])
-    return measured.reset_index().merge(limits, how="left", on=_ROW)
+    return measured.reset_index().merge(limits, how="left", on=["kind", "case"])
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""Stability margins of all tuned sets: the longest added delay, and the disk margin at four speeds."""
+"""Stability margins of all tuned sets: the longest tolerated delay, and the disk margin at four speeds."""
 
 from __future__ import annotations
 
@@ -16,15 +16,13 @@ from railrepro.studies.experiment import Experiment
 from railrepro.tuning.cost import driven
 from railrepro.tuning.margin import peaks
 
-LONGEST_MS = 15
-"""Longest delay that is tried (ms)."""
-_KMH = (100.0, 200.0, 300.0, 400.0)
+LONGEST_MS = 15  # longest delay that is tried
 
 
 def delay_margin(setting: str, controller: str) -> float:
-    """Largest delay (s) added to the torque command with which no wheel touches its flange at 400 km/h on poor rail.
+    """Find the largest delay (s) added to the torque command with which no flange is touched at 400 km/h on poor rail.
 
-    Whole milliseconds up to `LONGEST_MS` are tried, by bisection. NaN if a flange is touched without added delay.
+    The result is a whole number of milliseconds up to `LONGEST_MS`; NaN if a flange is touched without added delay.
     `setting` and `controller` (key of `registry.CONTROLLERS`) select the tuned set.
     """
     sensors = {"seed": 101} | ({} if setting == LOOP else {"perfect": True})
@@ -40,20 +38,18 @@ def delay_margin(setting: str, controller: str) -> float:
     return 1e-3 * (bisect_left(range(LONGEST_MS + 1), True, lo=1, key=fails) - 1)
 
 
-def sensitive(case: tuple[str, str, float]) -> dict:
-    """`peaks` of a tuned set; `case` is the setting, the controller and the speed (km/h)."""
-    setting, controller, speed = case
-    return peaks(controller, parameters(controller, setting), speed, setting == LOOP)
-
-
 def main() -> None:
-    """Write data/results/margins.csv (`delay_margin`) and sensitivity.csv (`peaks`) of the controllers `SHOWN` and, on
-    `paper`, `BY_SWARM`."""
+    """Write data/results/margins.csv (`delay_margin`) and sensitivity.csv (`peaks`) of the tuned sets."""
     pairs = [*product([PAPER], (*SHOWN, *BY_SWARM)), *product([LOOP], SHOWN)]
-    loops = [(*pair, speed) for pair in pairs for speed in _KMH]
+    loops = [(*pair, speed) for pair in pairs for speed in (100.0, 200.0, 300.0, 400.0)]
+
+    def sensitivity(case: tuple[str, str, float]) -> dict:
+        setting, controller, speed = case
+        return peaks(controller, parameters(controller, setting), speed, setting == LOOP)
+
     delays = ordered_map(lambda pair: delay_margin(*pair), pairs, "delay margins")
-    found = ordered_map(sensitive, loops, "sensitivity")
+    curves = ordered_map(sensitivity, loops, "sensitivity")
     margins = pd.DataFrame(pairs, columns=["setting", "controller"]).assign(delay_margin_s=delays)
-    measured = pd.DataFrame(loops, columns=["setting", "controller", "speed_kmh"]).join(pd.DataFrame(found))
+    measured = pd.DataFrame(loops, columns=["setting", "controller", "speed_kmh"]).join(pd.DataFrame(curves))
     for name, rows in {"margins": margins, "sensitivity": measured}.items():
         write(paths.product(f"data/results/{name}.csv"), rows.to_csv(index=False, float_format="%.6g"))
