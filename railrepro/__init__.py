@@ -27,7 +27,7 @@ if sys.platform == "win32":
 
 from railrepro import code  # noqa: E402, F401  before all others: it reads the files that this process imports
 
-__version__ = "2.0.0"
+__version__ = "3.0.0"
 
 _STUB = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")
 FACADE = {

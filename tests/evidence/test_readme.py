@@ -1,5 +1,6 @@
 """README, report and notation: they agree with the tables, their links and names exist, the first program runs."""
 
+import json
 import pkgutil
 import re
 
@@ -19,7 +20,8 @@ WORDS = set(re.findall(r"\w+", "\n".join(file.read_text() for file in (paths.ROO
 
 def test_readme_changelog_and_citation_name_this_version():
     citation = yaml.safe_load((paths.ROOT / "CITATION.cff").read_text())
-    assert citation["version"] == __version__ and f"*railrepro* {__version__}, " in README
+    described = json.loads((paths.ROOT / "codemeta.json").read_text())["version"]
+    assert citation["version"] == described == __version__ and f"*railrepro* {__version__}, " in README
     newest = re.search(r"^## (\S+), (\S+)$", (paths.ROOT / "CHANGELOG.md").read_text(), re.M)
     assert newest.groups() == (__version__.partition(".dev")[0], str(citation["date-released"]))
 

@@ -15,8 +15,10 @@ import pandas as pd
 from pydantic import Field
 
 from railrepro import data, paths
+from railrepro.control.registry import PAPER
 from railrepro.data import InputError, write
 from railrepro.evidence.claims import statements
+from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.probe import probe
 from railrepro.evidence.claims.setup import ProbeSetup, setup
 from railrepro.evidence.claims.statements import REPRODUCED, Evidence
@@ -82,13 +84,14 @@ def cars() -> dict[str, ProbeSetup]:
 
 
 def judged(world: ProbeSetup, parts: Iterable[str] = PARTS) -> pd.DataFrame:
-    """Judge the paper's statements on a car with its controllers (`world`): one row per statement.
+    """Judge the paper's statements on a car with its controllers (`world`): one row per statement. A difference within
+    the spread of the seeds of `paper` is a tie, as in the report.
 
     `parts` are names of groups of runs (`PARTS`); statements that need other runs have no row. Columns: statement (id);
     value; above and below, its limits (NaN for none); margin, distance of the value from the nearer limit over this
     limit (absolute for a limit of zero), positive inside; holds, whether the statement is reproduced.
     """
-    found, rows = statements.findings(Evidence(probe(world, parts))), []
+    found, rows = statements.findings(Evidence(probe(world, parts), Nominal().evidence(PAPER).spread)), []
     for identity, rule in statements.load().items():
         if identity not in found:
             continue

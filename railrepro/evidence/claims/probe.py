@@ -221,7 +221,7 @@ def _lags(world: ProbeSetup) -> Measured:
 
 def _loss(world: ProbeSetup) -> Measured:
     """Drive Fig. 8: NMPC as tuned and with R x 10, over `PERTURBED` and once without slip control; NDI."""
-    scenario, car = load_scenario(LOSS).but(end_m=700.0), world.car()
+    scenario, car = load_scenario(LOSS), world.car()
     yield LOSS, NOTHING, nothing(scenario) | {"excessive_slip": excessive_slip(scenario, car)}
     nmpc, cases = with_r_times(world.parameters["nmpc"], world.r_loss), {}
     tuned = {"nmpc": nmpc, SOFT: with_r_times(nmpc, EMPHASIS)}
