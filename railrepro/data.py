@@ -5,8 +5,6 @@ A class marked with `table` states keys, types and defaults; `above` and `betwee
 constructor in the same way. Every fault is an `InputError`.
 """
 
-from __future__ import annotations
-
 import fcntl
 import functools
 import itertools

@@ -1,7 +1,5 @@
 """Figures of one style (data/style.toml), whose files are byte-identical when their content is."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterable, Mapping, Sequence
 from string import ascii_lowercase

@@ -5,8 +5,6 @@ label, `Annotated[list[Scalar], labels]`; or another such dataclass. The name of
 is `y` of the field `front`, "tau.front_le" is the element `front_le` of the list `tau`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import fields, is_dataclass, make_dataclass
 from functools import cache

@@ -1,15 +1,13 @@
 """The car as a component: step it with four motor torques, read named outputs and energies, linearise it. Serves the
 paper's section Simulation Environment."""
 
-from __future__ import annotations
-
 import copy
 import ctypes
 import warnings
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple, NoReturn
+from typing import NamedTuple, NoReturn, Self
 
 import casadi as ca
 import numpy as np
@@ -162,13 +160,13 @@ class SteppedCar:
         self.c, self._pointer, self._arrays = of_car, ctypes.byref(of_car), codegen.arrays(of_car)
         self.measured = self._arrays["measured"]
 
-    def __copy__(self) -> SteppedCar:
+    def __copy__(self) -> Self:
         other = object.__new__(type(self))
         vars(other).update(vars(self))
         other._hold(_Car.from_buffer_copy(self.c))
         return other
 
-    def __deepcopy__(self, _memo: dict) -> SteppedCar:
+    def __deepcopy__(self, _memo: dict) -> Self:
         return copy.copy(self)  # the tables and the library that both use do not change
 
     def __reduce__(self) -> NoReturn:

@@ -1,8 +1,6 @@
 """Kinematics of the car: rotations, the track at a body, position and motion of the body. Serves the paper's section
 Coordinate Frames, for the plant."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Any
 

@@ -1,8 +1,6 @@
 """Outputs of the car, the columns of a run's log. Serves the paper's eqs. (18) to (20) and (4): psi_Ax, psi_TrAx,
 y_TrAx; f_x, s_x."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

@@ -1,8 +1,6 @@
 """Forces between car body and wheel carrier: springs, dampers, traction link, stops. Serves the paper's section
 Simulation Environment; the control model has only k_sz, k_dz, k_sx and k_dx."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import casadi as ca

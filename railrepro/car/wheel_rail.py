@@ -1,8 +1,6 @@
 """Forces between a wheel and its rail: position of the contact, creepages, normal and creep force. Serves the paper's
 section Train-Track Interaction, for the plant."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import casadi as ca

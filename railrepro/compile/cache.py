@@ -7,8 +7,6 @@ An object is loaded only with its seal, a hash of its name and content that need
 damaged, or that another user or an archive brought, is compiled again.
 """
 
-from __future__ import annotations
-
 import hashlib
 import hmac
 import importlib.util

@@ -1,8 +1,6 @@
 """From CasADi functions to C source text and to compiled functions. `cache` compiles text and keeps the objects,
 `lanes` writes C for vector registers, `reciprocals` saves divisions."""
 
-from __future__ import annotations
-
 import ctypes
 import hashlib
 import hmac

@@ -6,8 +6,6 @@ operands. Twins become one operation on two lanes, any other operation stays one
 operations (SX) in `_OPERATIONS`; a KeyError names the code of another one.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence

@@ -3,8 +3,6 @@ adhesion control needs. Its mean / largest errors relative to the friction force
 with a/b from 0.7 to 2: 0.02 / 0.03 without spin, 0.02 / 0.04 with the spin of a cone, 0.04 / 0.09 with that of S1002 on
 dry rail, 0.07 / 0.23 with 2.5 times that. Serves eq. (4) and Fig. 2 of the paper, which name no law."""
 
-from __future__ import annotations
-
 from dataclasses import astuple
 from functools import lru_cache
 

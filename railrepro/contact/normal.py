@@ -2,8 +2,6 @@
 two bodies of one material is E* = E / (2 (1 - nu^2)) (Johnson 1985, Contact Mechanics, section 4.2). Serves the paper's
 section Simulation Environment."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -8,8 +8,6 @@ lateral error of a gear without flange contact would change by less than 1 %. Se
 and section Simulation Environment.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache, lru_cache
 

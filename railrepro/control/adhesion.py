@@ -6,8 +6,6 @@ above, or a wheel is past its adhesion maximum, and the torque falls. The law ge
 does not know the creep law. Serves the paper's section Adhesion Control.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

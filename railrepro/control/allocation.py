@@ -1,8 +1,6 @@
 """Integration rule: lateral and longitudinal demands share the limited motor torque of a running gear. Serves the
 paper's section Integration Approach."""
 
-from __future__ import annotations
-
 import casadi as ca
 
 

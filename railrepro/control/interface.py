@@ -1,7 +1,5 @@
 """Names and units of the quantities that the 1 kHz control law measures, logs and limits. Serves the paper's Fig. 4."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

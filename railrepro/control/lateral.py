@@ -4,8 +4,6 @@ A 1 kHz law such as NDI is written in CasADi expressions and becomes part of the
 numbers, so one compiled object serves all tunings of a law. Serves the paper's Fig. 4.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import SimpleNamespace

@@ -5,8 +5,6 @@ run-time inputs, so laws that differ in numbers only share compiled code. Serves
 Adhesion Control and Integration Approach.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Annotated, Any

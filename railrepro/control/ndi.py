@@ -6,8 +6,6 @@ y. It knows the track at the present position and has no preview. Serves the pap
 Results (comparison after Grether 2018 and Heckmann 2020).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

@@ -7,10 +7,8 @@ soft: exceeding it costs the square of the slack, so no state makes the problem 
 numbers or CasADi expressions. Source: eqs. (31) and (32) of the paper.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, Self
 
 import casadi as ca
 import numpy as np
@@ -44,7 +42,7 @@ class Tuning(NamedTuple):
     bound_weight: Any
 
     @classmethod
-    def of(cls, vector) -> Tuning:
+    def of(cls, vector) -> Self:
         """`Tuning` from a vector in the order of `TUNING`."""
         return cls(vector[: len(STATES)], *(vector[i] for i in range(len(STATES), len(TUNING))))
 

@@ -2,8 +2,6 @@
 parameters are in data/tuned, one file per setting and controller; data/tuning.toml has those that a designer chose.
 Serves the paper's section Multi-Body Simulation Results."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial

@@ -15,8 +15,6 @@ because an inversion must not react to beta at once. All estimates are predicted
 Serves the measured states of the paper's eq. (18).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache

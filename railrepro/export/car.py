@@ -1,7 +1,5 @@
 """Export of the car as an FMU (FMI 2.0) for co-simulation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 

@@ -4,8 +4,6 @@
 of the FMUs. With the committed values its results equal those of `simulate` bit for bit.
 """
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import html

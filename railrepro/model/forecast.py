@@ -1,7 +1,5 @@
 """Forecast of position, speed, set point and track over the horizon of a predictive controller. Source: eq. (34)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import casadi as ca

@@ -13,8 +13,6 @@ F_y and moment M_s of both contacts, force F_N normal to the rails, and half the
 creep forces. In contact forces y counts from the rails. Slopes of the wheel profile are secants.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from railrepro.contact.table import contact_table

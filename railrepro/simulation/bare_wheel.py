@@ -1,8 +1,6 @@
 """One driven wheel under the 1 kHz adhesion law, with Polach's creep law and a quarter of the car as its mass. Serves
 the paper's Fig. 5 and section Adhesion Control."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any

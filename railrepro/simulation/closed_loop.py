@@ -1,7 +1,5 @@
 """Car and control law coupled at 1 kHz: `loop.c` runs the compiled car and `railrepro.control.cycle` in C."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 import time

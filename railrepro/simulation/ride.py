@@ -6,8 +6,6 @@ sampling rate (Hz). The sources say whether a number was *read* in a public docu
 their position on the track. Comfort weightings run forwards only, because the standards define one transfer function.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import scipy

@@ -1,11 +1,9 @@
 """Scenarios: track, speed, adhesion, set point and force demand of a run. Serves the paper's section Test Tracks."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import casadi as ca
 import numpy as np
@@ -127,7 +125,7 @@ class Scenario:
         both = self.poor_share or ((0.0, 0.0),)
         return self.poor_share_left or both, self.poor_share_right or both
 
-    def but(self, **changes) -> Scenario:
+    def but(self, **changes) -> Self:
         """Copy the scenario with the fields in `changes` replaced. InputError for a wrong field or value."""
         return replace(self, **changes)
 

@@ -1,7 +1,5 @@
 """Runs of several controllers side by side: simulate, tabulate and draw them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from itertools import product

@@ -5,8 +5,6 @@ run only while it waits, because two threads must not use CasADi's objects at a 
 number of processes or the cluster, because random seeds belong to the task.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import re

@@ -1,7 +1,5 @@
 """A controller's knowledge of the irregularities ahead, and the line that it plans with it (the paper's outlook)."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pandas as pd

@@ -5,8 +5,6 @@ compiler and the packages. An entry is a file of two lines: a hash of key and co
 that does not fit its hash is computed anew.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """A car with its controllers and their sensors: what all runs of one comparison have in common."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 

@@ -1,8 +1,6 @@
 """Track alignments, and the entries of data/tracks.toml that describe them. Serves the paper's section Test Tracks
 (Table I)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

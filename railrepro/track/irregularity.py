@@ -1,8 +1,6 @@
 """Track irregularities: spectra, random realisations, and the check of frames of irregularities. The columns of a frame
 are p_m and those of `CHANNELS`: alignment of the track centre, longitudinal level, cross level, gauge."""
 
-from __future__ import annotations
-
 import math
 import reprlib
 from typing import Annotated, Any, Literal

@@ -1,8 +1,6 @@
 """Random irregularities with local defects. Both are frames of irregularities, see `railrepro.track.irregularity`.
 Serves the paper's outlook (known lateral track irregularities)."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import numpy as np

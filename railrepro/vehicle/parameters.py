@@ -1,8 +1,6 @@
 """Parameters of the vehicle as frozen, checked dataclasses; their values are in data/vehicle.toml. Serves the paper's
 sections Control-Oriented Model and Simulation Environment, which print no values."""
 
-from __future__ import annotations
-
 import math
 import reprlib
 import warnings

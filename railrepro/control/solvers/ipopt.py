@@ -1,8 +1,6 @@
 """The optimal control problem as a nonlinear program for Ipopt, the reference of the other solvers. Serves the paper's
 section Nonlinear Model Predictive Control."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import casadi as ca

@@ -2,8 +2,6 @@
 `railrepro.control.problem`; their derivatives are halved. Serves the paper's section Nonlinear Model Predictive
 Control. Source: Rao, Wright and Rawlings 1998."""
 
-from __future__ import annotations
-
 import casadi as ca
 
 from railrepro.compile.codegen import stored

@@ -1,7 +1,5 @@
 """The book in build/html: executed notebooks, the pages of notebooks/book and the report, made by Sphinx."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

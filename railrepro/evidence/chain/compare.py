@@ -1,7 +1,5 @@
 """Comparison of the products of two runs: numbers of tables, pixels of images."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

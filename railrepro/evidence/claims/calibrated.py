@@ -4,8 +4,6 @@ data/paper_like.toml documents every choice. The car shows which choices it take
 results have a column of their own. Serves the paper's section Multi-Body Simulation Results.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal

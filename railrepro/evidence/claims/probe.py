@@ -4,8 +4,6 @@ The nominal results in each column of verdicts and the samples of the robustness
 predicates (`statements`) judge them. Serves the paper's section Multi-Body Simulation Results.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import astuple
 from itertools import pairwise, product

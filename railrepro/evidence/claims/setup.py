@@ -1,10 +1,8 @@
 """Setup of a probe: car, controllers and choices for the experiments, made from values by name."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 from railrepro.control.registry import LOOP, PAPER, PAPER_TRIO, guidance, with_r_times
 from railrepro.data import InputError, above, check_fields, require
@@ -46,7 +44,7 @@ class ProbeSetup(World):
         if self.ltv not in (allowed := (MPC[1], "ltv_mpc")):
             raise InputError(f"ltv is {self.ltv!r}, one of {allowed} is needed")
 
-    def checked(self) -> ProbeSetup:
+    def checked(self) -> Self:
         """Return this setup; InputError if car, controllers or scenarios refuse one of its values."""
         self.car(), self.scenario(T3), self.scenario(BRAKE)
         for name, parameters in self.parameters.items():

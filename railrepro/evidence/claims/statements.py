@@ -4,8 +4,6 @@ The function computes a number from `Evidence`. The rule in data/claims.toml has
 holds, and the reason for them. Serves the paper's section Multi-Body Simulation Results.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ data/claims.toml has the rules, `railrepro.evidence.claims.statements` a predica
 the accepted verdicts, data/theses.toml the reasons why a statement fails.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 

@@ -1,7 +1,5 @@
 """Effect of each error in the paper's printed equations (D1 to D10) in closed loop, with the others corrected."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import product
 

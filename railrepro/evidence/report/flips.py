@@ -3,8 +3,6 @@
 FILE.toml is a filled copy of data/answers.toml. Answers change the setup of the probe (`claims.probe`) in `paper`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle
 from pathlib import Path

@@ -5,8 +5,6 @@ data/theses.toml has sentences with the conditions under which they are true. A 
 public members of `Page` and the names that its constructor adds.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from typing import Annotated, Literal

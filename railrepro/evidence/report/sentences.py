@@ -4,8 +4,6 @@ A cell shows its sentences as one paragraph. With the committed inputs a false s
 values it is only marked as false.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 

@@ -13,8 +13,6 @@ cost nothing. rho trades error for torque: the bound belongs to a given activity
 Source: Anderson and Moore 1990, Optimal Control, ch. 8 (separation); Anderson and Moore 1979, Optimal Filtering, ch. 4.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -5,8 +5,6 @@ out`, conditions that tuning never sees; `irregular`, rails of two classes from 
 set point at the true position of a running gear.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import product
 
