@@ -11,8 +11,7 @@ from railrepro.contact.creep import polach
 from railrepro.contact.table import CELL_COLUMNS, in_cell
 from railrepro.quantities import named, pack
 
-_SIGN = {"le": -1, "ri": 1}
-"""Side of a wheel, positive to the right."""
+_SIGN = {"le": -1, "ri": 1}  # Side of a wheel, positive to the right
 
 
 def shift_to_flange(gear: Body, side: str, par: Any) -> ca.SX:

@@ -31,8 +31,7 @@ _SLOW = 200_000
 _ALWAYS = ("-fPIC", "-shared", "-fno-math-errno", "-w")
 PACKAGED = "ziglang"
 """Name of the C compiler from a Python package (extra `compiler`)."""
-_KEY = 32
-"""Length of the user's key in bytes."""
+_KEY = 32  # Length of the user's key in bytes
 WEBASSEMBLY = (
     *("-target", "wasm32-wasi", "-mexec-model=reactor", "-mcpu=generic", "-msimd128", "-O2"),
     *("-ffp-contract=off", "-fno-math-errno", "-w"),

@@ -32,8 +32,7 @@ from railrepro.vehicle.parameters import Vehicle
 
 SPEEDS = (2.0, 5.0, 10.0, 20.0, 40.0, 70.0, 120.0)
 """Speeds at which the gains of the lateral filter are computed (m/s)."""
-_LEAST_NOISE = 1e-9
-"""Assumed noise of perfect sensors (SI), which keeps the gains finite."""
+_LEAST_NOISE = 1e-9  # Assumed noise of perfect sensors (SI), which keeps the gains finite
 LATERAL = ("y", "psi", "r", "bias", "beta")
 """States of the lateral filter: displacement (m), yaw angle against the track (rad), absolute yaw rate (rad/s), gyro
 bias (rad/s), creep angle (rad). The first three are read."""

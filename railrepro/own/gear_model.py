@@ -29,8 +29,7 @@ UNKNOWN = ("force", "moment")
 """Unknown inputs: lateral force (N) and yaw moment (N m) on the gear."""
 UNITS = (1e-3, 1e-2, 1e-3, 1e-2, 1e-2, 100.0)
 """Usual magnitudes of `STATES` (SI), by which Riccati equations are scaled."""
-_REACH = 1e-3
-"""Displacement to either side at which the secants of a wheel profile end (m)."""
+_REACH = 1e-3  # Displacement to either side at which the secants of a wheel profile end (m)
 
 
 def _profile(vehicle: Vehicle) -> tuple[dict[str, float], float, float, float]:

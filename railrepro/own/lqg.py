@@ -44,12 +44,9 @@ SPEEDS = 1.5 * np.exp(0.1 * np.arange(46))
 """Speeds for which filters and regulators are designed (m/s), shape (46,); below the first the torque is held."""
 TAP, LAG, LAGS, PITCH = 0.02, 4e-3, 20, 0.25
 """Time between points of the preview, time between lags of the smoother (s), their number, pitch of the rails (m)."""
-_SHORT, _LONG = 0.8246, 0.0206
-"""Omega_c and Omega_r of the spectrum (rad/m)."""
-_SMOOTH = 1e-12
-"""Amplitude A of ideal rails (m rad); above 0, so that equations are regular."""
-_LEAK = 1 / 30
-"""Rate at which random walks return to zero (1/s): slower than any run, but stable."""
+_SHORT, _LONG = 0.8246, 0.0206  # Omega_c and Omega_r of the spectrum (rad/m)
+_SMOOTH = 1e-12  # Amplitude A of ideal rails (m rad); above 0, so that equations are regular
+_LEAK = 1 / 30  # Rate at which random walks return to zero (1/s): slower than any run, but stable
 _N, _RAIL, _RATE, _MODEL, _FREE = len(STATES), *(len(STATES) + k for k in (2, 3, 4, 6))
 """Number of states of the gear; indices of rail offset and its rate; numbers of states without and with biases."""
 

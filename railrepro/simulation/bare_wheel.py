@@ -17,8 +17,7 @@ from railrepro.control.adhesion import AdhesionInputs, AdhesionMemory, AdhesionS
 from railrepro.quantities import Scalar, indices, names, pack, symbols
 from railrepro.vehicle.parameters import AdhesionSet, Vehicle
 
-_SUBSTEPS, _LIMIT = 20, 1e5
-"""Integration steps per control cycle; torque limit (N m), more than adhesion can transmit."""
+_SUBSTEPS, _LIMIT = 20, 1e5  # Integration steps per control cycle; torque limit (N m), more than adhesion can transmit
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ from pydantic import Field
 
 from railrepro import data, paths
 from railrepro.data import InputError, Number, above, between
-from railrepro.paths import Entries
 from railrepro.track import route
 from railrepro.track.alignment import GRAVITY
 from railrepro.track.table import load_track
@@ -170,14 +169,14 @@ class Scenario:
         return route.reference(route.SetPoint(kind, 1e-3 * point["amplitude_mm"], point[first], point[last], *where))
 
 
-def load_scenarios(path: Path | str | None = None) -> Entries[Scenario]:
+def load_scenarios(path: Path | str | None = None) -> paths.Entries[Scenario]:
     """Read the scenarios of a TOML file (default data/scenarios.toml) as a dict by name. InputError for a wrong one."""
     file = data.location(path, paths.source("data/scenarios.toml"))
     content = data.read(file)
     for name, entry in content.items():
         if isinstance(entry, dict):
             entry["name"] = name
-    return Entries(data.build(dict[str, Scenario], content, file.name), "data/scenarios.toml")
+    return paths.Entries(data.build(dict[str, Scenario], content, file.name), "data/scenarios.toml")
 
 
 def load_scenario(name: str) -> Scenario:

@@ -16,7 +16,6 @@ import numpy as np
 import pandas as pd
 
 from railrepro.car import component, equations
-from railrepro.car.component import DERAILED, SteppedCar
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.control import cycle, interface, lateral, law
 from railrepro.control.adhesion import AdhesionSettings
@@ -133,9 +132,9 @@ def start(
     """Couple car and 1 kHz law for a scenario. The car starts in vertical equilibrium at the initial speed. The
     arguments are as in `run`; `settings` are its `adhesion`, `fixed_share`, `sensors` and `substeps`."""
     substeps = settings.pop("substeps", 1)
-    settings |= {"lateral_limit": DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
+    settings |= {"lateral_limit": component.DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
     control = law.control_law(vehicle, guidance, **settings)
-    car = SteppedCar(route, scenario.speed, plant_vehicle, scenario.good, scenario.poor, substeps=substeps)
+    car = component.SteppedCar(route, scenario.speed, plant_vehicle, scenario.good, scenario.poor, substeps=substeps)
     return ClosedLoop(car, control)
 
 

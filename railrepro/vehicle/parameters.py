@@ -13,7 +13,6 @@ from pydantic import AfterValidator, Field
 from pydantic_core import core_schema
 
 from railrepro import data, paths
-from railrepro.data import InputError
 
 
 @data.table
@@ -303,7 +302,7 @@ def loaded(kind: type, file: Path, overrides: dict) -> tuple[Any, dict[str, dict
     entries = dict(_entries(content))
     for key, value in overrides.items():
         if key not in entries:
-            raise InputError(f"override {key!r} is not a key of {file.name}; there are {', '.join(entries)}")
+            raise data.InputError(f"override {key!r} is not a key of {file.name}; there are {', '.join(entries)}")
         entries[key].update(value=value, range="fixed")
     return data.build(kind, content, file.name), entries
 

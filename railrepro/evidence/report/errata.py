@@ -10,8 +10,7 @@ from railrepro.simulation.scenarios import Scenario
 from railrepro.studies.experiment import Experiment, run_all
 
 _COLUMNS = dict.fromkeys(("scenario", "controller", "variant", "warnings"), str) | {"rmse_y": float, "effort_du": float}
-_TRIPLED = 2
-"""Relative change of the RMSE above which a run counts as lost."""
+_TRIPLED = 2  # Relative change of the RMSE above which a run counts as lost
 
 
 def model_variants(scenarios: Sequence[Scenario], variants: Sequence[str]) -> pd.DataFrame:

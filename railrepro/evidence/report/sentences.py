@@ -11,8 +11,7 @@ import numpy as np
 
 MARK = "does not hold with these values"
 """Text before a false sentence in the output."""
-_KEY = "railrepro_false"
-"""Key of the false sentences in the metadata of an output."""
+_KEY = "railrepro_false"  # Key of the false sentences in the metadata of an output
 
 
 class Sentences(list):
