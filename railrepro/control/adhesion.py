@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import casadi as ca
+from pydantic import StrictBool
 
 from railrepro.clock import CONTROL_PERIOD
-from railrepro.data import between, check_fields
+from railrepro.data import between, table
 from railrepro.quantities import SIDES, Scalar
 
 _STEP = Annotated[float, between(0.0, 1e9, "N m per ms")]
@@ -42,7 +43,7 @@ class AdhesionMemory:
     s: Annotated[list[Scalar], SIDES, "low-pass filtered slip (-)"]
 
 
-@dataclass(frozen=True)
+@table
 class AdhesionSettings:
     """Parameters of the adhesion law. InputError for a value of a wrong type or out of range."""
 
@@ -60,11 +61,8 @@ class AdhesionSettings:
     """Slip rate below which no wheel counts as past its adhesion maximum (1/s)."""
     noise_speed: Annotated[float, between(0.0, 1e3, "m/s")] = 0.0
     """Speed below which the dead zone grows as 1/v, like the noise of a computed slip (m/s). 0: it is constant."""
-    active: bool = True
+    active: StrictBool = True
     """False: no slip control. The base torque follows the demand by steps of at most `raise_step`."""
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     def base_torque(self, q: AdhesionInputs, memory: AdhesionMemory) -> tuple:
         """Compute one cycle (1 ms) of the adhesion law of one running gear, with numbers or CasADi expressions.

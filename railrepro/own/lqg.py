@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
@@ -33,7 +32,7 @@ from scipy.signal import cont2discrete
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
 from railrepro.control import lateral
-from railrepro.data import between, check_fields
+from railrepro.data import between, table
 from railrepro.estimation.sensors import Loop
 from railrepro.model.forecast import nominal_values
 from railrepro.own.gear_model import KNOWN, STATES, UNITS, UNKNOWN, lateral_model
@@ -260,7 +259,7 @@ class LqgGear:
         return _source(*self.sizes)[0] + text + Path(__file__).with_name("lqg_export.c").read_text(encoding="utf-8")
 
 
-@dataclass(frozen=True)
+@table
 class LqgPreview:
     """Factory of LQG controllers with preview, a guidance for `simulate.run`; notebook `12_lqg` derives settings."""
 
@@ -283,9 +282,6 @@ class LqgPreview:
     """Time constant (s) with which the log-likelihoods of the filters forget old readings."""
     preview: Annotated[float, between(0.02, 5.0, "s")] = 0.6
     """Length of the preview of set point and track (s)."""
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     def __call__(self, vehicle: Vehicle, route: Route, gear: int) -> LqgGear:
         """Make the controller of a gear (0 front, 1 rear)."""
