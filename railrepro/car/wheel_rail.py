@@ -61,13 +61,8 @@ class _Axes:
 class Contact:
     """Contact of a wheel with its rail: normal force with damping and lift-off, creepages, creep force.
 
-    Args:
-        gear (Body): Wheel carrier of the wheel.
-        side (str): "le" (left) or "ri" (right).
-        speed (SX): Absolute angular speed of the wheel (rad/s), positive when rolling forward.
-        row (SX): Row of the contact table, in the order of `CELL_COLUMNS`.
-        par (equations.CarParameters): Parameters.
-        stages (Stages): Symbols for intermediate results.
+    `gear` is the wheel carrier, `side` "le" (left) or "ri" (right), `speed` the absolute angular speed of the wheel
+    (rad/s), positive when rolling forward. `row` is a row of the contact table, `par` an `equations.CarParameters`.
 
     Attributes:
         sliding, creepage (pair of SX): Sliding speed along and across the rail (m/s), over the running speed (-).

@@ -70,14 +70,10 @@ def strip_coefficients(half_length: np.ndarray, position: np.ndarray, poisson: f
     lobe has ends. For c33 strips are weighted by their squared distance from the middle. An elliptic patch gets the
     coefficients of Kalker's table.
 
-    Args:
-        half_length (ndarray, shape (n,)): Half the length of each strip (m), 0 without contact.
-        position (ndarray, shape (n,)): Lateral position of each strip (m), equally spaced, 0 at the centre of pressure.
-        poisson (float): Poisson's ratio (-).
-
-    Returns:
-        a, b (float): Half the length of the longest strip; lateral semi-axis of the ellipse of the same area (m).
-        coefficients (tuple of float): c11, c22, c23, c33 (-), to be used with this ellipse.
+    Each strip has half of its length (m), 0 without contact, in `half_length`, shape (n,), and a lateral `position`
+    (m), shape (n,), equally spaced, 0 at the centre of pressure. Returns half the length a of the longest strip, the
+    lateral semi-axis b of the ellipse of the same area (m), and the tuple c11, c22, c23, c33 (-), to be used with this
+    ellipse.
     """
     width = position[1] - position[0]
     a = half_length.max()

@@ -57,11 +57,9 @@ def elastic_contact(position, height, slope, rail_depth, radius: float, load: fl
     A coarse grid locates the contact. A fine grid then covers it with the same number of cells for every patch. Source:
     Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact, ch. 4.
 
-    Args:
-        position (ndarray, shape (n,)): Lateral distance from the track centre, uniformly spaced (m).
-        height, slope (ndarray, shape (n,)): Radius of the wheel profile minus the nominal radius (m); its slope (-).
-        rail_depth (ndarray, shape (n,)): Depth of the rail below its top (m).
-        radius, load, modulus (float): Nominal rolling radius (m), normal force (N), contact modulus E* (Pa).
+    Arrays have the shape (n,): `position`, lateral distance from the track centre, uniformly spaced (m); `height`,
+    radius of the wheel profile minus the nominal `radius` (m), and its `slope` (-); `rail_depth` below the top of the
+    rail (m). `load` is the normal force (N), `modulus` the contact modulus E* (Pa).
     """
     overlap = height - rail_depth
     gap, first = overlap.max() - overlap, int(np.argmax(overlap))

@@ -68,10 +68,8 @@ class AdhesionSettings:
         """Compute one cycle (1 ms) of the adhesion law of one running gear, with numbers or CasADi expressions.
 
         Here adhesion and slip count as positive in the direction of the demand, so f' s' < 0 past the maximum. With the
-        printed sign of s this would mark the stable branch in traction. Source: eqs. (21), (22), (23), (25).
-
-        Returns:
-            tuple: Base torque per wheel (N m); next `AdhesionMemory`; segment: 1 raise, 2 hold, 3 lower.
+        printed sign of s this would mark the stable branch in traction. Returns the base torque per wheel (N m), the
+        next `AdhesionMemory`, and the segment: 1 raise, 2 hold, 3 lower. Source: eqs. (21), (22), (23), (25).
         """
         sign = ca.if_else(q.f_star < 0, -1, 1)
         pole = CONTROL_PERIOD / (self.filter_time + CONTROL_PERIOD)

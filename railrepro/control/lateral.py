@@ -205,12 +205,9 @@ def gains_of(law: LateralLaw) -> dict[str, float]:
 
 
 def signature(law: LateralLaw) -> Signature:
-    """`Signature` of a 1 kHz law, from one call of `law.torque(q)` with CasADi symbols.
-
-    Raises:
-        InputError: A gain is not a finite number or its name is taken; the torque or a next state is no scalar
-            expression; the states are not those of `memory`; or the law uses a symbol that is not in `q`.
-    """
+    """`Signature` of a 1 kHz law, from one call of `law.torque(q)` with CasADi symbols. InputError if a gain is not a
+    finite number or its name is taken, the torque or a next state is no scalar expression, the states are not those of
+    `memory`, or the law uses a symbol that is not in `q`."""
     owner, memory, gains = _owner(law), tuple(getattr(law, "memory", ())), tuple(gains_of(law))
     equations = type(law), getattr(type(law), "torque", None), memory, gains
     if equations in _alike:

@@ -153,13 +153,9 @@ def observe(
 
     Returns the `Estimates` at that time, and the corrected `FilterState` at the time of the readings. Numbers are SX.
 
-    Args:
-        readings (Signals): Delayed readings.
-        commands (two lists): Torques sent to the left and the right wheel before this cycle (N m), newest first.
-        track (lateral.TrackInputs): Track at the gear.
-        ticks: Control cycles since the start. At 0 the states are set from the readings.
-        sensor, gain (SensorGains, law.SensedGains): Run-time numbers of the sensors and of the law.
-        memory (FilterState): States before the correction, at the time of the readings.
+    `commands` has two lists, torques sent to the left and the right wheel before this cycle (N m), newest first.
+    `track` is a `lateral.TrackInputs` at the gear, `gain` a `law.SensedGains`. `ticks` counts the control cycles since
+    the start; at 0 the states are set from the readings. `memory` are the states at the time of the readings.
     """
     planes = readings.y_ahead, readings.y_behind
     read = sum(planes) / 2, (planes[0] - planes[1]) / sensor.base, readings.psidot_Ax

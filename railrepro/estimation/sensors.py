@@ -91,14 +91,9 @@ def _upto(high: float, unit: str) -> Parameter:
 
 @data.table
 class Lateral:
-    """Two sensors of the lateral displacement of a gear from the rails, one ahead of the axle and one behind it.
-
-    Attributes:
-        base (float): Distance between the sensors along the track (m).
-        noise (float): Standard deviation of a reading (m).
-        bias (float): Largest constant offset (m). A run draws its offset uniformly from [-bias, bias].
-        resolution (float): Step to which a reading is rounded (m); 0 for no rounding.
-    """
+    """Two sensors of the lateral displacement of a gear from the rails (m), one ahead of the axle and one behind it.
+    `base` is their distance along the track, `noise` the standard deviation of a reading, `resolution` the step to
+    which it is rounded (0: none). A run draws its constant offset uniformly from [-bias, bias]."""
 
     base: Annotated[float, Parameter(0.1, 5.0, "m")]
     noise: Annotated[float, _upto(0.01, "m")]
@@ -258,13 +253,9 @@ class Readings:
 def sense(truth: Signals, ticks, gear: int, gain: SensorGains, memory: SensorMemory) -> tuple[Signals, dict[str, list]]:
     """Read the sensors of a gear (0 front, 1 rear) in this control cycle. All numbers are of type SX.
 
-    Returns the readings that reach the controller, and a dict of the next delay lines by signal, without "p".
-
-    Args:
-        truth (Signals): Exact values.
-        ticks: Control cycles since the start. At 0 the delay lines are filled with the first reading.
-        gain (SensorGains): Run-time numbers of the sensors.
-        memory (SensorMemory): Delay lines after the previous cycle.
+    `truth` are the exact values, `memory` the delay lines after the previous cycle. `ticks` counts the control cycles
+    since the start; at 0 the delay lines are filled with the first reading. Returns the readings that reach the
+    controller, and a dict of the next delay lines by signal, without "p".
     """
     readings, lines = {}, {}
     for i, signal in enumerate(SIGNALS):

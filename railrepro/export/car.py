@@ -26,14 +26,8 @@ def export_fmu(
     The inputs are the torques `INPUTS`, the outputs those of `railrepro.car.equations.car()`. The parameters are those
     of `equations.CarParameters`, such as "body.mass", and "speed", the initial speed. Route and contact table are
     constants. The communication step must be a whole number of ms. The FMU returns the status Error if a torque is NaN
-    or its magnitude above 1e5 N m, and if a state is not finite or reaches 1e7 (SI).
-
-    Args:
-        path (path): File to write.
-        route (Route or str): Route, or the name of a track.
-        speed (float): Initial speed (m/s), above 0 up to 125.
-        vehicle (Vehicle, optional): Default data/vehicle.toml.
-        platforms (sequence of str, optional): As in `export.fmu.Fmu.write`, which also lists the errors.
+    or its magnitude above 1e5 N m, and if a state is not finite or reaches 1e7 (SI). Route or name of a track, initial
+    speed (m/s) and vehicle are as in `car.component.SteppedCar`, platforms and errors as in `export.fmu.Fmu.write`.
     """
     return car_fmu(component.SteppedCar(route, speed, vehicle), speed).write(path, platforms)
 

@@ -70,11 +70,9 @@ class Comparison:
     def plot(self, *panels: str, columns: str = "", height: float = 1.3, more: int = 0) -> Figure:
         """Draw panels below each other over the track coordinate (m); returns the figure, which is not saved.
 
-        Args:
-            panels (str): Keys of `simulation.plot.PANELS`, one per row; "y" and "error" if there are none.
-            columns (str): Label, as "car", whose values have a column of panels each; "" for one column.
-            height (float): Height of a row (in).
-            more (int): Number of empty rows below, for other diagrams.
+        `panels` are keys of `simulation.plot.PANELS`, one per row of `height` (in); "y" and "error" if there are none.
+        `columns` is a label, as "car", whose values have a column of panels each; "" for one column. `more` is the
+        number of empty rows below, for other diagrams.
         """
         names = panels or ("y", "error")
         chosen, shown = plot.chosen(names), self.rows[columns].unique() if columns else [""]

@@ -44,12 +44,9 @@ def irregularity_spectrum(spectrum: str, channel: str, wavenumber: np.ndarray) -
     The gauge spectrum has the form of the cross-level spectrum; its amplitude is recalled from German high-speed
     spectra (confidence R). Source: ERRI B176.
 
-    Args:
-        spectrum (str): "erri_low", "erri_high", or an entry of data/irregularities.toml such as "en_B_300". An entry
-            scales "erri_low" to its standard deviations: "vertical" and "crosslevel" by one factor, "lateral" and
-            "gauge" by another.
-        channel (str): "lateral", "vertical", "gauge" (m^2/(rad/m)) or "crosslevel" (rad^2/(rad/m)).
-        wavenumber (ndarray): Angular wavenumber (rad/m).
+    `spectrum` is "erri_low", "erri_high", or an entry of data/irregularities.toml such as "en_B_300". An entry scales
+    "erri_low" to its standard deviations: "vertical" and "crosslevel" by one factor, "lateral" and "gauge" by another.
+    `channel` is "lateral", "vertical", "gauge" (m^2/(rad/m)) or "crosslevel" (rad^2/(rad/m)); `wavenumber` is angular.
     """
     if channel not in CHANNELS:
         raise data.InputError(f"channel {channel!r} is not known; there are {[*CHANNELS]}")
@@ -102,10 +99,8 @@ def irregularities(p: np.ndarray, spectrum: str = "erri_low", seed: int = 1) -> 
     same irregularities at the same p. Source: Shinozuka and Deodatis 1991, Applied Mechanics Reviews 44, 191 (spectral
     representation by FFT).
 
-    Args:
-        p (ndarray, shape (n,)): Track coordinates (m), increasing by steps of up to 1.5 m.
-        spectrum (str): As in `irregularity_spectrum`.
-        seed (int): Seed of the random phases, 0 to 2^63.
+    The track coordinates p (m), shape (n,), increase by steps of up to 1.5 m. `spectrum` is as in
+    `irregularity_spectrum`; `seed`, 0 to 2^63, draws the phases.
     """
     data.require("irregularities: seed", seed, SEED, whole=True)
     p = coordinates("irregularities", p, SHORTEST / 2)

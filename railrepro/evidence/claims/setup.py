@@ -97,8 +97,7 @@ def setup(values: Mapping[str, Any], column: str = PAPER, *, rank: int = 0, seed
         seed (int, optional): Seed of the sensors in the setting "loop". Without it, and in other settings, controllers
             get the true signals.
 
-    Raises:
-        InputError: For an unknown key or column, or a factor out of range. `ProbeSetup.checked` checks other values.
+    InputError for an unknown key or column, or a factor out of range. `ProbeSetup.checked` checks other values.
     """
     require("column", column, str)
     if column not in COLUMNS:

@@ -70,12 +70,9 @@ def main() -> int:
 class Page:
     """Functions and values for the Jinja templates of the report: REPLICATION.md, figures/README.md, README.md.
 
-    Args:
-        judged (DataFrame): Verdicts as from `claims.evaluate`.
-        nominal (Nominal): Stored metrics.
-
-    In all methods `setting` is a column of verdicts, "paper", "swarm" or "loop", or "" for tables that do not depend
-    on it; `identity` is the id of a statement, as "C05".
+    `judged` are verdicts as from `claims.evaluate`, `nominal` are the stored metrics. In all methods `setting` is a
+    column of verdicts, "paper", "swarm" or "loop", or "" for tables that do not depend on it; `identity` is the id of a
+    statement, as "C05".
     """
 
     def __init__(self, judged: pd.DataFrame, nominal: Nominal):
