@@ -104,8 +104,7 @@ class SteppedCar:
     The arrays `state`, `torque` and `parameters` are memory of the compiled car. Write to their entries, or assign all
     at once (`car.state = values`). `copy.copy(car)` is a second car in the same state that moves independently.
 
-    Raises:
-        InputError: An argument, or an array that is assigned, has a wrong type, name or shape or is out of range.
+    InputError if an argument, or an array that is assigned, has a wrong type, name or shape or is out of range.
     """
 
     state = codegen.in_c("state", LARGEST_STATE)

@@ -106,12 +106,10 @@ def polach(
         load, shear_modulus, slip_speed: Normal force (N), shear modulus (Pa), sliding speed of the contact (m/s).
         a, b: Semi-axes of the contact along and across the rail (m).
         c11, c22, c23, c33: Kalker's coefficients (-).
-        k_a, k_s: Reduction factors in the areas of adhesion and of slip (-); a k_s above k_a counts as k_a.
-        mu0, a_ratio, b_decay: Friction at rest (-), its ratio at high slip speed (-), decay over slip speed (s/m).
+        k_a, k_s, mu0, a_ratio, b_decay: As in `vehicle.parameters.AdhesionSet`.
 
-    Returns:
-        F_x, F_y: Tangential force on the wheel (N), never larger than the friction force.
-        M: Moment about the contact normal, which points into the rail (N m).
+    Returns the tangential forces on the wheel along and across the rail (N), together never larger than the friction
+    force, and the moment about the contact normal, which points into the rail (N m).
     """
     m = elementary(nu_x, nu_y, spin, load)
     friction, root = mu0 * ((1 - a_ratio) * m.exp(-b_decay * slip_speed) + a_ratio), m.sqrt(a * b)

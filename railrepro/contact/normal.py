@@ -35,13 +35,11 @@ def hertz(curvature_x: float, curvature_y: float, load: float, modulus: float) -
 class Patch:
     """Contact patch of a wheel on a rail.
 
-    Attributes:
-        position (float): Lateral distance of the centre of pressure from the track centre (m).
-        height (float): Rolling radius at which the patch rolls without longitudinal force, minus the nominal radius
-            (m): mean over the strips, weighted by their creep stiffness, which grows as their load to the power 2/3.
-        slope (float): Slope of the wheel profile, mean over the pressure (-); tangent of the angle of the normal force.
-        strips, half_lengths (ndarray, shape (n,)): Lateral position of each strip in the contact plane, 0 at the centre
-            of pressure; half its length along the rail (m).
+    `position` is the lateral distance of the centre of pressure from the track centre (m). `height` is the rolling
+    radius at which the patch rolls without longitudinal force, minus the nominal radius (m): mean over the strips,
+    weighted by their creep stiffness, which grows as their load to the power 2/3. `slope` is that of the wheel profile,
+    mean over the pressure (-); tangent of the angle of the normal force. `strips`, shape (n,), is the lateral position
+    of each strip in the contact plane, 0 at the centre of pressure; `half_lengths` half its length along the rail (m).
     """
 
     position: float

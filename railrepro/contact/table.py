@@ -36,12 +36,10 @@ _PATCH = ("semi_axis_x_m", "semi_axis_y_m", *_ELLIPSE[2:])
 class ContactTable:
     """Contact quantities over the lateral shift of a wheel towards its flange.
 
-    Attributes:
-        frame (DataFrame): One row per shift, uniformly spaced. Columns: shift_m; effective_radius_m (its slope is the
-            tangent of the contact angle, so the normal force is conservative); angle_rad (contact angle);
-            rolling_radius_m; rail_contact_m (lateral position of the contact on the rail, from half the contact base,
-            positive to the field side); semi_axis_x_m, semi_axis_y_m (at nominal load); Kalker's c11, c22, c23, c33
-            (-); normal_stiffness (N/m^1.5).
+    `frame` has one row per shift, uniformly spaced. Columns: shift_m; effective_radius_m (its slope is the tangent of
+    the contact angle, so the normal force is conservative); angle_rad (contact angle); rolling_radius_m; rail_contact_m
+    (lateral position of the contact on the rail, from half the contact base, positive to the field side);
+    semi_axis_x_m, semi_axis_y_m (at nominal load); Kalker's c11, c22, c23, c33 (-); normal_stiffness (N/m^1.5).
     """
 
     frame: pd.DataFrame

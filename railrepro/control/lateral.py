@@ -112,10 +112,9 @@ class SlowController(Protocol):
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
         """Differential torque (N m) to hold until the next sample. Not needed if `compiled` returns addresses.
 
-        Args:
-            x_hat (ndarray, shape (6,)): Measured or estimated state of the gear: track coordinate (m), heading (rad),
-                speed (m/s), yaw rate (rad/s), lateral displacement (m), yaw angle against the track (rad).
-            u_d (float): Base torque per wheel (N m).
+        `x_hat`, shape (6,), is the measured or estimated state of the gear: track coordinate (m), heading (rad), speed
+        (m/s), yaw rate (rad/s), lateral displacement (m), yaw angle against the track (rad). `u_d` is the base torque
+        per wheel (N m).
         """
 
 

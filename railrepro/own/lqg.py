@@ -17,8 +17,6 @@ state has a yaw rate. The rear gear gets the rails from a fixed-lag smoother of 
 Moore 1990, Optimal Control, ch. 2, 4 and 8; 1979, Optimal Filtering, ch. 7 (smoothing) and 10 (several models).
 """
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Sequence
 from functools import lru_cache
@@ -65,7 +63,7 @@ class Design:
             (rad/s^0.5, rad/s^1.5).
     """
 
-    def __init__(self, vehicle: Vehicle, speed: float, settings: LqgPreview, loop: Loop | None):
+    def __init__(self, vehicle: Vehicle, speed: float, settings: "LqgPreview", loop: Loop | None):
         self.speed, self.settings, h = speed, settings, CONTROL_PERIOD
         self.delay = 0 if loop is None else 1 + round((loop.latency.measurement + loop.latency.command) / h)
         self.sent = max(self.delay, 1)
@@ -181,7 +179,7 @@ def riccati(a: np.ndarray, b: np.ndarray, q: np.ndarray, units: np.ndarray) -> n
 
 
 @lru_cache(maxsize=1)
-def designs(vehicle: Vehicle, settings: LqgPreview, loop: Loop | None) -> tuple[int, np.ndarray]:
+def designs(vehicle: Vehicle, settings: "LqgPreview", loop: Loop | None) -> tuple[int, np.ndarray]:
     """Make the designs at all `SPEEDS`; returns `Design.delay`, and an array (46, n) with `Design.table` of each."""
     made = [Design(vehicle, speed, settings, loop) for speed in SPEEDS]
     return made[0].delay, np.array([design.table() for design in made])
@@ -216,7 +214,7 @@ class LqgGear:
 
     period = CONTROL_PERIOD
 
-    def __init__(self, vehicle: Vehicle, route: Route, gear: int, settings: LqgPreview):
+    def __init__(self, vehicle: Vehicle, route: Route, gear: int, settings: "LqgPreview"):
         lateral.check_arguments("LqgPreview", vehicle, route, gear)
         self.vehicle, self.route, self.gear, self.settings = vehicle, route, gear, settings
 
@@ -248,7 +246,7 @@ class LqgGear:
             leader.memory.follower = ctypes.addressof(self.memory)
         return ctypes.cast(self.library.lqg_sample, ctypes.c_void_p).value or 0, ctypes.addressof(self.memory)
 
-    def exported(self, gears: Sequence[LqgGear], loop: Loop | None) -> str:
+    def exported(self, gears: Sequence["LqgGear"], loop: Loop | None) -> str:
         """C source, for an export, of the controllers [front, rear] with the tables of their designs."""
         for gear in gears:
             gear.compiled(loop)

@@ -33,13 +33,8 @@ class NoSetPoint:
 
 @data.table
 class Sine:
-    """Sinusoidal lateral set point, see `railrepro.track.route.SetPoint`.
-
-    Attributes:
-        amplitude_mm, period_m (float): Amplitude (mm), wavelength (m).
-        start_m, end_m (float): Track coordinates between which it acts (m); without `end_m` it has no end.
-        fade_m (float): Length over which the amplitude rises and falls (m); without it 30 m.
-    """
+    """Sinusoidal lateral set point of wavelength `period_m` from `start_m` to `end_m`, or without end. Its amplitude
+    rises and falls over `fade_m`, by default 30 m. See `railrepro.track.route.SetPoint`."""
 
     kind: Literal["sine"]
     amplitude_mm: _AMPLITUDE

@@ -35,11 +35,9 @@ _OF_SCENARIO = {field.name for field in fields(Scenario)}
 class Comparison:
     """Metrics and series of several runs, with tables and figures of them; made by `compare`.
 
-    Attributes:
-        rows (DataFrame): One row per run: its labels and its metrics in SI units, see `Experiment.values`.
-        series (DataFrame): Time series of the front running gear of all runs below each other (`metrics.gear_series`),
-            with the labels and the controller of each run as further columns.
-        labels (tuple of str): Names of the columns by which the runs differ, as ("speed_kmh", "controller").
+    `rows` has one row per run: its labels and its metrics in SI units, see `Experiment.values`. `series` has the time
+    series of the front running gear of all runs below each other (`metrics.gear_series`), with labels and controller.
+    `labels` are the names of the columns by which the runs differ, as ("speed_kmh", "controller").
     """
 
     rows: pd.DataFrame

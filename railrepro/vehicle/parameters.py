@@ -175,16 +175,10 @@ class Drive:
 
 @data.table
 class WheelRail:
-    """Contact of wheel and rail.
-
-    Attributes:
-        young, shear_modulus, poisson: Moduli (Pa) and Poisson's ratio (-) of the material.
-        nominal_load: Normal force for which contact ellipses are tabulated (N).
-        normal_stiffness, normal_damping: k (N/m^1.5) and d (s/m) in the normal force k q^1.5 (1 + d dq/dt) at a
-            penetration q.
-        rest_speed: Speed (m/s) in creepage = sliding speed / sqrt(v^2 + rest_speed^2), which is finite at standstill.
-        profile: Wheel profile, "cone" or "s1002".
-    """
+    """Contact of wheels with a `profile`, "cone" or "s1002", and rails of one material with two moduli (Pa) and
+    Poisson's ratio (-). Contact ellipses are tabulated for the normal force `nominal_load` (N). At a penetration q the
+    normal force is k q^1.5 (1 + d dq/dt) with k = `normal_stiffness` (N/m^1.5), d = `normal_damping` (s/m). Creepage is
+    sliding speed / sqrt(v^2 + rest_speed^2), which is finite at standstill (speeds in m/s)."""
 
     young: Annotated[float, Parameter(1e9, 1e12, "Pa")]
     poisson: Annotated[float, Parameter(0.0, 0.5, "-", closed=True)]
