@@ -17,7 +17,7 @@ from pydantic import StrictBool
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile.codegen import stored
 from railrepro.compile.reciprocals import share_reciprocals
-from railrepro.data import InputError, above, between, require, table
+from railrepro.data import above, between, require, table
 from railrepro.model.control_model import PSI_TRAX, STATES, TAU_LE, TAU_RI, THETA, Y, control_model, discretise
 from railrepro.model.forecast import Forecast
 from railrepro.model.parameters import PARAMETERS
@@ -143,12 +143,11 @@ class MPCSettings:
 
     def __post_init__(self) -> None:
         if self.period < CONTROL_PERIOD or not round(self.period / CONTROL_PERIOD, 6).is_integer():
-            raise InputError(f"MPCSettings: period is {self.period:g} s, a whole number of ms is needed")
-        q = self.q_diag
-        if not isinstance(q, tuple | list) or len(q) != len(STATES):
-            raise InputError(f"MPCSettings: q_diag is {q!r}, {len(STATES)} weights are needed")
-        for weight, (name, allowed) in zip(q, WEIGHTS.items(), strict=True):
-            require(f"MPCSettings: q_diag, {name}", weight, allowed)
+            raise ValueError(f"period is {self.period:g} s, a whole number of ms is needed")
+        if len(self.q_diag) != len(STATES):
+            raise ValueError(f"q_diag is {self.q_diag}, {len(STATES)} weights are needed")
+        for weight, (name, allowed) in zip(self.q_diag, WEIGHTS.items(), strict=True):
+            require(f"q_diag, {name}", weight, allowed)
 
     def tuning(self) -> np.ndarray:
         """The tuning vector: weights and bounds in the order of `TUNING`, in the units of the fields."""
