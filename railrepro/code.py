@@ -5,8 +5,6 @@ again before a cache is read or written. The content of a module is its text wit
 lines. A regular expression extracts it, so that all versions of Python give the same hash.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 import os

@@ -5,8 +5,6 @@ A class marked with `table` states keys, types and defaults; `above` and `betwee
 constructor in the same way. Every fault is an `InputError`.
 """
 
-from __future__ import annotations
-
 import fcntl
 import functools
 import itertools
@@ -110,16 +108,6 @@ def require(what: str, value, allowed: Quantity | type, whole: bool = False) -> 
             raise InputError(f"{what} {fault}") from None
     elif not isinstance(value, allowed):
         raise InputError(f"{what} is {reprlib.repr(value)}, an object of the class {allowed.__name__} is needed")
-
-
-def check_fields(settings: Any) -> None:
-    """Raise InputError unless each field of a dataclass instance fits its annotation: a `Quantity`, bool or str."""
-    kind: Any = type(settings)
-    for name, hint in _hints(kind, include_extras=True).items():
-        base, *notes = typing.get_args(hint) if typing.get_origin(hint) is Annotated else (hint, hint)
-        for allowed in notes:
-            if isinstance(allowed, Quantity) or allowed in (bool, str):
-                require(f"{kind.__name__}: {name}", getattr(settings, name), allowed, whole=base is int)
 
 
 Plain = Annotated[Number, between(-1e12, 1e12)]
@@ -248,7 +236,6 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 _adapter = functools.cache(pydantic.TypeAdapter)
-_hints = functools.cache(typing.get_type_hints)
 
 
 def build(kind: type, content: Any, where: str, instance: Any = None) -> Any:

@@ -1,7 +1,5 @@
 """Figures of one style (data/style.toml), whose files are byte-identical when their content is."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterable, Mapping, Sequence
 from string import ascii_lowercase
@@ -18,8 +16,6 @@ from PIL import Image
 
 from railrepro import data as files
 from railrepro import paths
-from railrepro.data import Number, above
-from railrepro.paths import Entries
 
 WIDTH = 3.5
 """Width of a figure (in)."""
@@ -38,7 +34,7 @@ class Look:
     color: str
     linestyle: files.Free
     marker: str
-    linewidth: Annotated[Number, above(0.0, 10.0, "pt")] = 1.0
+    linewidth: Annotated[files.Number, files.above(0.0, 10.0, "pt")] = 1.0
 
     @property
     def line(self) -> dict:
@@ -48,8 +44,8 @@ class Look:
 
 
 _content = files.read(paths.source("data/style.toml"))
-_SETTINGS = Entries({"matplotlib": _content.pop("matplotlib")}, "data/style.toml")
-LOOKS = Entries(files.build(dict[str, Look], _content, "style.toml"), "data/style.toml")
+_SETTINGS = paths.Entries({"matplotlib": _content.pop("matplotlib")}, "data/style.toml")
+LOOKS = paths.Entries(files.build(dict[str, Look], _content, "style.toml"), "data/style.toml")
 """Name of a controller, or "set point" -> its `Look`."""
 SETTING_MARKERS = {"paper": "o", "loop": "^"}
 """Setting of comparison -> marker, in figures whose colours distinguish controllers."""

@@ -6,8 +6,6 @@ and `source` prefers files there. A notebook in JupyterLab writes below build/tr
 notebooks completely, renews the products in the checkout.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from collections import UserDict

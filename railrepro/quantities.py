@@ -5,8 +5,6 @@ label, `Annotated[list[Scalar], labels]`; or another such dataclass. The name of
 is `y` of the field `front`, "tau.front_le" is the element `front_le` of the list `tau`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import fields, is_dataclass, make_dataclass
 from functools import cache
@@ -41,7 +39,7 @@ def _members(of: Any) -> list[tuple[str, type | None, tuple[str, ...] | None, An
             result.append((field.name, inner, None, note))
         elif inner is not str:
             labels = tuple(map(str, more[0])) if get_origin(inner) is list else None
-            result.append((field.name, None, labels, note or inner))
+            result.append((field.name, None, labels, inner if inner is bool else note or inner))
     return result
 
 

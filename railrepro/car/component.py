@@ -1,22 +1,20 @@
 """The car as a component: step it with four motor torques, read named outputs and energies, linearise it. Serves the
 paper's section Simulation Environment."""
 
-from __future__ import annotations
-
 import copy
 import ctypes
 import warnings
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple, NoReturn
+from typing import NamedTuple, NoReturn, Self
 
 import casadi as ca
 import numpy as np
 import pandas as pd
 
 from railrepro.car import equations
-from railrepro.car.outputs import Outputs
+from railrepro.car.outputs import DERAILED, Outputs
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import cache, codegen
 from railrepro.compile.lanes import lanes_header, pairs_text
@@ -31,8 +29,6 @@ LARGEST_TORQUE = 1e5
 """Largest magnitude of a torque command (N m); also the largest torque limit in a vehicle file."""
 LARGEST_SPEED = 125.0
 """Largest initial speed of a `SteppedCar` (m/s)."""
-DERAILED = 0.030
-"""Lateral displacement of a running gear, to either side, at which it derails (m)."""
 LARGEST_STATE = 1e7
 """Magnitude of a state (SI) at which `SteppedCar.step` raises an ArithmeticError."""
 _LATERAL = equations.indices(*(f"{gear}.y" for gear in equations.GEARS))
@@ -108,8 +104,7 @@ class SteppedCar:
     The arrays `state`, `torque` and `parameters` are memory of the compiled car. Write to their entries, or assign all
     at once (`car.state = values`). `copy.copy(car)` is a second car in the same state that moves independently.
 
-    Raises:
-        InputError: An argument, or an array that is assigned, has a wrong type, name or shape or is out of range.
+    InputError if an argument, or an array that is assigned, has a wrong type, name or shape or is out of range.
     """
 
     state = codegen.in_c("state", LARGEST_STATE)
@@ -162,13 +157,13 @@ class SteppedCar:
         self.c, self._pointer, self._arrays = of_car, ctypes.byref(of_car), codegen.arrays(of_car)
         self.measured = self._arrays["measured"]
 
-    def __copy__(self) -> SteppedCar:
+    def __copy__(self) -> Self:
         other = object.__new__(type(self))
         vars(other).update(vars(self))
         other._hold(_Car.from_buffer_copy(self.c))
         return other
 
-    def __deepcopy__(self, _memo: dict) -> SteppedCar:
+    def __deepcopy__(self, _memo: dict) -> Self:
         return copy.copy(self)  # the tables and the library that both use do not change
 
     def __reduce__(self) -> NoReturn:
@@ -185,18 +180,12 @@ class SteppedCar:
         return self.measured
 
     def step(self, torque=None, steps: int = 1, period: float = CONTROL_PERIOD) -> None:
-        """Integrate the car over `steps` steps with constant torque commands.
+        """Integrate the car over `steps` steps of the length `period` (s), above 0 up to 0.01, with constant `torque`
+        commands (N m), shape (4,), by default the attribute `torque`.
 
         When |y| of a running gear first reaches 30 mm (derailment), a warning is issued and the simulation goes on.
-
-        Args:
-            torque (array_like, shape (4,), optional): Torque commands (N m), see the attribute `torque`, the default.
-            steps (int): Number of steps.
-            period (float): Length of one step (s), above 0 up to 0.01.
-
-        Raises:
-            InputError: An argument has a wrong type or is out of range.
-            ArithmeticError: A state is not finite or reaches 1e7 (SI). `state` then holds the values before that step.
+        ArithmeticError if a state is not finite or reaches 1e7 (SI); `state` then holds the values before that step.
+        InputError if an argument has a wrong type or is out of range.
         """
         require("steps", steps, between(0, np.inf), whole=True)
         require("period", period, above(0.0, 10 * CONTROL_PERIOD, "s"))

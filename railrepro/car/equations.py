@@ -6,8 +6,6 @@ Coriolis, cant, inclination and gyroscopic terms are exact without a second deri
 z down; yaw to the right, pitch nose up, roll right side down. Serves the paper's section Simulation Environment.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product

@@ -5,8 +5,6 @@ so explicit steps of 1 ms fail. Rodas3 is linearly implicit, L-stable and of ord
 Environment 31 (1997) 3459 (Rodas3); scaled as in Hairer and Wanner, Solving ODEs II.
 """
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 

@@ -1,8 +1,6 @@
 """Kinematics of the car: rotations, the track at a body, position and motion of the body. Serves the paper's section
 Coordinate Frames, for the plant."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -51,11 +49,8 @@ def orientation(yaw: ca.SX, pitch: ca.SX, roll: ca.SX) -> ca.SX:
 
 
 class Section:
-    """The track at a coordinate, as CasADi expressions. Source: eq. (3), with the rotation of eq. (1).
-
-    Args:
-        s (SX): Track coordinate (m).
-        row (SX, shape (len(route.COLUMNS), 1)): Row of the route in which s lies.
+    """The track at a coordinate s (m) in a row of the route, as CasADi expressions. Source: eq. (3), with the rotation
+    of eq. (1).
 
     Attributes:
         psi, phi, eps (SX): Heading, cant angle and inclination of the track (rad).
@@ -138,13 +133,9 @@ class Body(Coordinates):
     def derivatives(self, force: ca.SX, moment: ca.SX, mass: ca.SX, inertia: ca.SX, spin: ca.SX | float = 0) -> ca.SX:
         """Compute the time derivatives of `COORDINATES` by the equations of Newton and Euler (SI), shape (12, 1).
 
-        Args:
-            force (SX, shape (3, 1)): Force in track-frame components (N).
-            moment (SX, shape (3, 1)): Moment about the centre of gravity, in body axes (N m).
-            mass, inertia (SX, shape (3, 1)): Mass (kg) and principal moments of inertia (kg m2).
-            spin (SX): Angular momentum of rotors on the body about its y axis (kg m2/s).
-
-        Source: Wittenburg 2008, Dynamics of Multibody Systems (gyrostat).
+        The force (3, 1) is in track-frame components, the moment (3, 1) about the centre of gravity in body axes.
+        `inertia` (3, 1) has the principal moments, `spin` is the angular momentum of rotors on the body about its y
+        axis (kg m2/s). Source: Wittenburg 2008, Dynamics of Multibody Systems (gyrostat).
         """
         momentum = inertia * self.w + ca.vertcat(0, spin, 0)
         rates = self.rates | named(("vx", "vy", "vz"), force / mass - ca.cross(self.frame_rate, self.v))

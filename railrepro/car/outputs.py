@@ -1,24 +1,26 @@
 """Outputs of the car, the columns of a run's log. Serves the paper's eqs. (18) to (20) and (4): psi_Ax, psi_TrAx,
 y_TrAx; f_x, s_x."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 
+from railrepro.data import between
 from railrepro.quantities import Scalar
+
+DERAILED = 0.030
+"""Lateral displacement of a running gear, to either side, at which it derails (m)."""
 
 
 @dataclass(frozen=True)
 class GearStates:
-    """States of a running gear, in the order of the states of the control model."""
+    """States of a running gear, in the order of the states of the control model, with ranges beyond any run."""
 
-    p: Annotated[Scalar, "m", "track coordinate"]
-    psi_Ax: Annotated[Scalar, "rad", "heading"]
-    v: Annotated[Scalar, "m/s", "speed along the track"]
-    psidot_Ax: Annotated[Scalar, "rad/s", "yaw rate"]
-    y: Annotated[Scalar, "m", "lateral displacement from the track"]
-    psi_TrAx: Annotated[Scalar, "rad", "yaw angle against the track"]
+    p: Annotated[Scalar, between(-1e6, 1e6, "m"), "track coordinate"]
+    psi_Ax: Annotated[Scalar, between(-1e3, 1e3, "rad"), "heading"]
+    v: Annotated[Scalar, between(-1.0, 150.0, "m/s"), "speed along the track"]
+    psidot_Ax: Annotated[Scalar, between(-10.0, 10.0, "rad/s"), "yaw rate"]
+    y: Annotated[Scalar, between(-DERAILED, DERAILED, "m"), "lateral displacement from the track"]
+    psi_TrAx: Annotated[Scalar, between(-1.0, 1.0, "rad"), "yaw angle against the track"]
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,6 @@
 """Forces between car body and wheel carrier: springs, dampers, traction link, stops. Serves the paper's section
 Simulation Environment; the control model has only k_sz, k_dz, k_sx and k_dx."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import casadi as ca
@@ -26,11 +24,8 @@ class Suspension:
     that carry the pitch reaction of the motors act about z_body x x_carrier; with relative roll they also turn the
     carrier in yaw. Source: eqs. (13b) and (13c), for yaw and roll at small angles.
 
-    Args:
-        body, lower (Body): Car body and wheel carrier.
-        end (int): +1 for the front carrier, -1 for the rear one.
-        par (equations.CarParameters): Parameters.
-        stages (Stages): Symbols for intermediate results.
+    `lower` is the wheel carrier, `end` +1 for the front one and -1 for the rear one. `par` is an
+    `equations.CarParameters`.
 
     Attributes:
         force_on_lower, moment_on_lower (SX, shape (3, 1)): Force (N) and moment about the centre of gravity (N m) on

@@ -1,8 +1,6 @@
 """Forces between a wheel and its rail: position of the contact, creepages, normal and creep force. Serves the paper's
 section Train-Track Interaction, for the plant."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import casadi as ca
@@ -13,8 +11,7 @@ from railrepro.contact.creep import polach
 from railrepro.contact.table import CELL_COLUMNS, in_cell
 from railrepro.quantities import named, pack
 
-_SIGN = {"le": -1, "ri": 1}
-"""Side of a wheel, positive to the right."""
+_SIGN = {"le": -1, "ri": 1}  # Side of a wheel, positive to the right
 
 
 def shift_to_flange(gear: Body, side: str, par: Any) -> ca.SX:
@@ -64,13 +61,8 @@ class _Axes:
 class Contact:
     """Contact of a wheel with its rail: normal force with damping and lift-off, creepages, creep force.
 
-    Args:
-        gear (Body): Wheel carrier of the wheel.
-        side (str): "le" (left) or "ri" (right).
-        speed (SX): Absolute angular speed of the wheel (rad/s), positive when rolling forward.
-        row (SX): Row of the contact table, in the order of `CELL_COLUMNS`.
-        par (equations.CarParameters): Parameters.
-        stages (Stages): Symbols for intermediate results.
+    `gear` is the wheel carrier, `side` "le" (left) or "ri" (right), `speed` the absolute angular speed of the wheel
+    (rad/s), positive when rolling forward. `row` is a row of the contact table, `par` an `equations.CarParameters`.
 
     Attributes:
         sliding, creepage (pair of SX): Sliding speed along and across the rail (m/s), over the running speed (-).

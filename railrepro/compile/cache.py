@@ -7,8 +7,6 @@ An object is loaded only with its seal, a hash of its name and content that need
 damaged, or that another user or an archive brought, is compiled again.
 """
 
-from __future__ import annotations
-
 import hashlib
 import hmac
 import importlib.util
@@ -33,8 +31,7 @@ _SLOW = 200_000
 _ALWAYS = ("-fPIC", "-shared", "-fno-math-errno", "-w")
 PACKAGED = "ziglang"
 """Name of the C compiler from a Python package (extra `compiler`)."""
-_KEY = 32
-"""Length of the user's key in bytes."""
+_KEY = 32  # Length of the user's key in bytes
 WEBASSEMBLY = (
     *("-target", "wasm32-wasi", "-mexec-model=reactor", "-mcpu=generic", "-msimd128", "-O2"),
     *("-ffp-contract=off", "-fno-math-errno", "-w"),
@@ -149,14 +146,9 @@ def _is_sealed(target: Path) -> bool:
 def build(text: str, portable: bool = False, webassembly: bool = False, triple: str = "") -> Path:
     """Compile a C source text, unless its object is in the cache with its seal, and return the path of the object.
 
-    Args:
-        text (str): Complete C source.
-        portable (bool): Make a shared object for any processor of the architecture, see `flags`.
-        webassembly (bool): Make a WebAssembly module with the packaged compiler.
-        triple (str): Another platform, for which the packaged compiler makes the object, such as "x86_64-windows-gnu".
-
-    Raises:
-        InputError: There is no compiler or no folder, or the compiler refuses the source.
+    A `portable` object is for any processor of the architecture, see `flags`. The packaged compiler makes it as a
+    module of `webassembly`, or for another platform, the `triple`, such as "x86_64-windows-gnu". InputError if there is
+    no compiler or no folder, or the compiler refuses the source.
     """
     if (webassembly or triple) and not found(PACKAGED):
         product = f"shared objects for {triple}" if triple else "modules of WebAssembly"

@@ -1,8 +1,6 @@
 """From CasADi functions to C source text and to compiled functions. `cache` compiles text and keeps the objects,
 `lanes` writes C for vector registers, `reciprocals` saves divisions."""
 
-from __future__ import annotations
-
 import ctypes
 import hashlib
 import hmac
@@ -59,14 +57,10 @@ def library(functions: Sequence[ca.Function], extra: str = "") -> ctypes.CDLL:
 
 
 def structure(name: str, text: str, sizes: Mapping[str, int], **kinds: Any) -> Any:
-    """Make the `ctypes.Structure` class of a struct that C source defines.
+    """Make the `ctypes.Structure` class of a struct that C source `text` defines as `typedef struct { … } name;`.
 
-    Args:
-        name (str): Name of the struct, as in `typedef struct { … } name;`. Members may be double, casadi_int, types in
-            `kinds`, pointers, and arrays of these.
-        text (str): C source that contains the struct.
-        sizes (mapping): C constant in the length of an array -> its value.
-        kinds (type): C type -> its ctypes type, as keyword arguments.
+    Members may be double, casadi_int, pointers, types in `kinds` (C type -> its ctypes type), and arrays of these.
+    `sizes` maps C constants in the length of an array to their values.
     """
     known = {"double": ctypes.c_double, "casadi_int": ctypes.c_longlong} | kinds
     text = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
@@ -121,16 +115,9 @@ def in_c(name: str, largest: float = sys.float_info.max) -> Any:
 
 
 class CompiledFunction:
-    """A CasADi function as compiled code, called without copies: fill `arguments`, call, read `results`.
-
-    Args:
-        function (casadi.Function): The function.
-        shared (ctypes.CDLL, optional): Shared object that has it; by default it is compiled, or read from the cache.
-
-    Attributes:
-        arguments, results (list of ndarray): One float64 array per input and per output, with its structural nonzeros
-            in column-major order.
-    """
+    """A CasADi function as compiled code, called without copies: fill `arguments`, call, read `results`. These have one
+    float64 array per input and per output, with its structural nonzeros in column-major order. `shared` is a shared
+    object that has the function; by default it is compiled, or read from the cache."""
 
     def __init__(self, function: ca.Function, shared: ctypes.CDLL | None = None):
         shared = library([function]) if shared is None else shared
@@ -153,10 +140,9 @@ def stored(build: Callable[..., Built]) -> Callable[..., Built]:
     A result on disk is used only if it has the seal of this user (`cache.seal`) and if the arguments, the library
     (`code.version`), Python, the packages that compute, and the kernels chosen for NumPy and BLAS are the same.
 
-    Args:
-        build (callable): Function of the library outside `railrepro.evidence`. Its arguments are positional, and their
-            `repr` tells them apart. Its result depends on arguments and code only. The annotated type of the result is
-            one that JSON has, `casadi.Function`, `DataFrame`, or a tuple or dataclass of these.
+    `build` is a function of the library outside `railrepro.evidence`. Its arguments are positional, and their `repr`
+    tells them apart. Its result depends on arguments and code only. The annotated type of the result is one that JSON
+    has, `casadi.Function`, `DataFrame`, or a tuple or dataclass of these.
     """
     name = f"{build.__module__}.{build.__qualname__}"
 

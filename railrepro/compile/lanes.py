@@ -6,8 +6,6 @@ operands. Twins become one operation on two lanes, any other operation stays one
 operations (SX) in `_OPERATIONS`; a KeyError names the code of another one.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
@@ -65,13 +63,9 @@ def lanes_header(lanes: int = 4) -> str:
 def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:
     """Write C that evaluates a function for several sets of arguments at once, one set per lane of a register.
 
-    Args:
-        function (casadi.Function): Function called NAME.
-        common (sequence of str): Inputs with one value for all sets. What depends on these alone is computed once.
-
-    Returns:
-        str: C function `static void NAME_lanes(...)`. Its arguments are the inputs, then the outputs, as arrays of
-            their nonzeros in CasADi's order: of double for common inputs, else of lanes_t with one double per set.
+    The inputs `common` have one value for all sets; what depends on these alone is computed once. Returns a C function
+    `static void NAME_lanes(...)` of a function called NAME. Its arguments are the inputs, then the outputs, as arrays
+    of their nonzeros in CasADi's order: of double for common inputs, else of lanes_t with one double per set.
     """
     inputs, outputs = function.name_in(), function.name_out()
     kinds = ["double" if name in common else "lanes_t" for name in inputs]
@@ -109,12 +103,9 @@ _LEAVES = (ca.OP_INPUT, ca.OP_CONST)
 def pairs_text(function: ca.Function, mirrored: Mapping[str, Sequence[int]]) -> str:
     """Write C of a CasADi function in which an operation and its mirror image share one vector register.
 
-    The C function has the signature of the one that CasADi generates, and its results have the same bits.
-
-    Args:
-        function (casadi.Function): The function.
-        mirrored (mapping): Name of an input -> list of int: for each entry the index of its mirror image, such as the
-            same quantity at the other running gear, or its own index. Other inputs have no mirror images.
+    The C function has the signature of the one that CasADi generates, and its results have the same bits. `mirrored`
+    maps the name of an input to a list of int: for each entry the index of its mirror image, such as the same quantity
+    at the other running gear, or its own index. Other inputs have no mirror images.
     """
     nodes, outputs = graph(function)
     twins = _twins(nodes, [mirrored.get(name) for name in function.name_in()])

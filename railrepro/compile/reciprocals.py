@@ -1,8 +1,6 @@
 """Fewer divisions: a denominator that divides several numerators is inverted once. A division costs about as much as
 five multiplications."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import casadi as ca

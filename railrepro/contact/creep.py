@@ -3,8 +3,6 @@ adhesion control needs. Its mean / largest errors relative to the friction force
 with a/b from 0.7 to 2: 0.02 / 0.03 without spin, 0.02 / 0.04 with the spin of a cone, 0.04 / 0.09 with that of S1002 on
 dry rail, 0.07 / 0.23 with 2.5 times that. Serves eq. (4) and Fig. 2 of the paper, which name no law."""
 
-from __future__ import annotations
-
 from dataclasses import astuple
 from functools import lru_cache
 
@@ -72,14 +70,10 @@ def strip_coefficients(half_length: np.ndarray, position: np.ndarray, poisson: f
     lobe has ends. For c33 strips are weighted by their squared distance from the middle. An elliptic patch gets the
     coefficients of Kalker's table.
 
-    Args:
-        half_length (ndarray, shape (n,)): Half the length of each strip (m), 0 without contact.
-        position (ndarray, shape (n,)): Lateral position of each strip (m), equally spaced, 0 at the centre of pressure.
-        poisson (float): Poisson's ratio (-).
-
-    Returns:
-        a, b (float): Half the length of the longest strip; lateral semi-axis of the ellipse of the same area (m).
-        coefficients (tuple of float): c11, c22, c23, c33 (-), to be used with this ellipse.
+    Each strip has half of its length (m), 0 without contact, in `half_length`, shape (n,), and a lateral `position`
+    (m), shape (n,), equally spaced, 0 at the centre of pressure. Returns half the length a of the longest strip, the
+    lateral semi-axis b of the ellipse of the same area (m), and the tuple c11, c22, c23, c33 (-), to be used with this
+    ellipse.
     """
     width = position[1] - position[0]
     a = half_length.max()
@@ -112,12 +106,10 @@ def polach(
         load, shear_modulus, slip_speed: Normal force (N), shear modulus (Pa), sliding speed of the contact (m/s).
         a, b: Semi-axes of the contact along and across the rail (m).
         c11, c22, c23, c33: Kalker's coefficients (-).
-        k_a, k_s: Reduction factors in the areas of adhesion and of slip (-); a k_s above k_a counts as k_a.
-        mu0, a_ratio, b_decay: Friction at rest (-), its ratio at high slip speed (-), decay over slip speed (s/m).
+        k_a, k_s, mu0, a_ratio, b_decay: As in `vehicle.parameters.AdhesionSet`.
 
-    Returns:
-        F_x, F_y: Tangential force on the wheel (N), never larger than the friction force.
-        M: Moment about the contact normal, which points into the rail (N m).
+    Returns the tangential forces on the wheel along and across the rail (N), together never larger than the friction
+    force, and the moment about the contact normal, which points into the rail (N m).
     """
     m = elementary(nu_x, nu_y, spin, load)
     friction, root = mu0 * ((1 - a_ratio) * m.exp(-b_decay * slip_speed) + a_ratio), m.sqrt(a * b)

@@ -2,8 +2,6 @@
 two bodies of one material is E* = E / (2 (1 - nu^2)) (Johnson 1985, Contact Mechanics, section 4.2). Serves the paper's
 section Simulation Environment."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,13 +35,11 @@ def hertz(curvature_x: float, curvature_y: float, load: float, modulus: float) -
 class Patch:
     """Contact patch of a wheel on a rail.
 
-    Attributes:
-        position (float): Lateral distance of the centre of pressure from the track centre (m).
-        height (float): Rolling radius at which the patch rolls without longitudinal force, minus the nominal radius
-            (m): mean over the strips, weighted by their creep stiffness, which grows as their load to the power 2/3.
-        slope (float): Slope of the wheel profile, mean over the pressure (-); tangent of the angle of the normal force.
-        strips, half_lengths (ndarray, shape (n,)): Lateral position of each strip in the contact plane, 0 at the centre
-            of pressure; half its length along the rail (m).
+    `position` is the lateral distance of the centre of pressure from the track centre (m). `height` is the rolling
+    radius at which the patch rolls without longitudinal force, minus the nominal radius (m): mean over the strips,
+    weighted by their creep stiffness, which grows as their load to the power 2/3. `slope` is that of the wheel profile,
+    mean over the pressure (-); tangent of the angle of the normal force. `strips`, shape (n,), is the lateral position
+    of each strip in the contact plane, 0 at the centre of pressure; `half_lengths` half its length along the rail (m).
     """
 
     position: float
@@ -59,11 +55,9 @@ def elastic_contact(position, height, slope, rail_depth, radius: float, load: fl
     A coarse grid locates the contact. A fine grid then covers it with the same number of cells for every patch. Source:
     Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact, ch. 4.
 
-    Args:
-        position (ndarray, shape (n,)): Lateral distance from the track centre, uniformly spaced (m).
-        height, slope (ndarray, shape (n,)): Radius of the wheel profile minus the nominal radius (m); its slope (-).
-        rail_depth (ndarray, shape (n,)): Depth of the rail below its top (m).
-        radius, load, modulus (float): Nominal rolling radius (m), normal force (N), contact modulus E* (Pa).
+    Arrays have the shape (n,): `position`, lateral distance from the track centre, uniformly spaced (m); `height`,
+    radius of the wheel profile minus the nominal `radius` (m), and its `slope` (-); `rail_depth` below the top of the
+    rail (m). `load` is the normal force (N), `modulus` the contact modulus E* (Pa).
     """
     overlap = height - rail_depth
     gap, first = overlap.max() - overlap, int(np.argmax(overlap))

@@ -2,8 +2,6 @@
 positive to the field side, heights radially outwards (wheel) and downwards (rail). Serves the paper's section
 Simulation Environment."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.polynomial import Polynomial
 

@@ -8,8 +8,6 @@ lateral error of a gear without flange contact would change by less than 1 %. Se
 and section Simulation Environment.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache, lru_cache
 
@@ -38,12 +36,10 @@ _PATCH = ("semi_axis_x_m", "semi_axis_y_m", *_ELLIPSE[2:])
 class ContactTable:
     """Contact quantities over the lateral shift of a wheel towards its flange.
 
-    Attributes:
-        frame (DataFrame): One row per shift, uniformly spaced. Columns: shift_m; effective_radius_m (its slope is the
-            tangent of the contact angle, so the normal force is conservative); angle_rad (contact angle);
-            rolling_radius_m; rail_contact_m (lateral position of the contact on the rail, from half the contact base,
-            positive to the field side); semi_axis_x_m, semi_axis_y_m (at nominal load); Kalker's c11, c22, c23, c33
-            (-); normal_stiffness (N/m^1.5).
+    `frame` has one row per shift, uniformly spaced. Columns: shift_m; effective_radius_m (its slope is the tangent of
+    the contact angle, so the normal force is conservative); angle_rad (contact angle); rolling_radius_m; rail_contact_m
+    (lateral position of the contact on the rail, from half the contact base, positive to the field side);
+    semi_axis_x_m, semi_axis_y_m (at nominal load); Kalker's c11, c22, c23, c33 (-); normal_stiffness (N/m^1.5).
     """
 
     frame: pd.DataFrame
@@ -84,19 +80,15 @@ def _cells(content: bytes) -> np.ndarray:
 
 
 def in_cell(cell: dict, offset) -> dict:
-    """Contact quantities at a shift in a row of `ContactTable.cells`.
+    """Contact quantities at a shift in a row of `ContactTable.cells`, a dict: name in `CELL_COLUMNS` -> value.
 
     A wheel that hits its flange may leave the row by several widths in a stage of the integrator. There the effective
     radius and the rolling radius continue along their tangents, and all else is constant. So the effective radius
     remains the integral of its slope, and the contact generates no energy.
 
-    Args:
-        cell (dict): Name in `CELL_COLUMNS` -> number, array or symbol.
-        offset: Shift minus the shift at the start of the row (m), of the same kind.
-
-    Returns:
-        dict: Keys effective_radius (m), slope (its derivative, the tangent of the contact angle, -), rolling_radius,
-            rail_contact, semi_axis_x, semi_axis_y (m), c11, c22, c23, c33 (-), normal_stiffness (N/m^1.5).
+    `offset` is the shift minus the shift at the start of the row (m). It and the values are numbers, arrays or symbols.
+    The result is a dict: effective_radius (m), slope (its derivative, the tangent of the contact angle, -),
+    rolling_radius, rail_contact, semi_axis_x, semi_axis_y (m), c11, c22, c23, c33 (-), normal_stiffness (N/m^1.5).
     """
     first, square, cube = (cell[f"radius_{name}"] for name in ("slope", "square", "cube"))
     m = elementary(offset)

@@ -6,15 +6,14 @@ above, or a wheel is past its adhesion maximum, and the torque falls. The law ge
 does not know the creep law. Serves the paper's section Adhesion Control.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 
 import casadi as ca
+from pydantic import StrictBool
 
 from railrepro.clock import CONTROL_PERIOD
-from railrepro.data import between, check_fields
+from railrepro.data import between, table
 from railrepro.quantities import SIDES, Scalar
 
 _STEP = Annotated[float, between(0.0, 1e9, "N m per ms")]
@@ -44,7 +43,7 @@ class AdhesionMemory:
     s: Annotated[list[Scalar], SIDES, "low-pass filtered slip (-)"]
 
 
-@dataclass(frozen=True)
+@table
 class AdhesionSettings:
     """Parameters of the adhesion law. InputError for a value of a wrong type or out of range."""
 
@@ -62,20 +61,15 @@ class AdhesionSettings:
     """Slip rate below which no wheel counts as past its adhesion maximum (1/s)."""
     noise_speed: Annotated[float, between(0.0, 1e3, "m/s")] = 0.0
     """Speed below which the dead zone grows as 1/v, like the noise of a computed slip (m/s). 0: it is constant."""
-    active: bool = True
+    active: StrictBool = True
     """False: no slip control. The base torque follows the demand by steps of at most `raise_step`."""
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     def base_torque(self, q: AdhesionInputs, memory: AdhesionMemory) -> tuple:
         """Compute one cycle (1 ms) of the adhesion law of one running gear, with numbers or CasADi expressions.
 
         Here adhesion and slip count as positive in the direction of the demand, so f' s' < 0 past the maximum. With the
-        printed sign of s this would mark the stable branch in traction. Source: eqs. (21), (22), (23), (25).
-
-        Returns:
-            tuple: Base torque per wheel (N m); next `AdhesionMemory`; segment: 1 raise, 2 hold, 3 lower.
+        printed sign of s this would mark the stable branch in traction. Returns the base torque per wheel (N m), the
+        next `AdhesionMemory`, and the segment: 1 raise, 2 hold, 3 lower. Source: eqs. (21), (22), (23), (25).
         """
         sign = ca.if_else(q.f_star < 0, -1, 1)
         pole = CONTROL_PERIOD / (self.filter_time + CONTROL_PERIOD)

@@ -1,25 +1,17 @@
 """Integration rule: lateral and longitudinal demands share the limited motor torque of a running gear. Serves the
 paper's section Integration Approach."""
 
-from __future__ import annotations
-
 import casadi as ca
 
 
 def allocate(u_d, du, tau_max, fixed_share=0.0):
-    """Motor torques of one running gear from base torque and differential torque, as numbers or CasADi expressions.
+    """Motor torques of one running gear (N m) from base torque `u_d` and differential torque `du` per wheel (N m),
+    which steers to the right when it is positive. Numbers or CasADi expressions.
 
-    The differential torque is limited first, and the longitudinal torque gets the rest of the limit. So a jump of `u_d`
-    cannot disturb the guidance. Source: eqs. (41), (42) of the paper.
-
-    Args:
-        u_d, du: Base torque and differential torque per wheel (N m); du > 0 steers to the right.
-        tau_max: Torque limit of a motor in both directions (N m).
-        fixed_share: Share of the limit reserved for `du`, in (0, 1); `u_d` has the rest. 0: none, as in the paper.
-
-    Returns:
-        tau_le, tau_ri: Commands to the left and the right motor (N m).
-        tau_long, du: Common longitudinal part of both commands, and limited differential torque (N m).
+    The differential torque is limited first, and the longitudinal torque gets the rest of the limit `tau_max` of a
+    motor. So a jump of `u_d` cannot disturb the guidance. With a `fixed_share` of the limit, in (0, 1), `du` is limited
+    to this share and `u_d` to the rest; 0: none, as in the paper. Returns the commands to the left and the right motor,
+    their common longitudinal part, and the limited differential torque. Source: eqs. (41), (42) of the paper.
     """
     fixed = fixed_share > 0
     du_limit = ca.if_else(fixed, fixed_share * tau_max, tau_max)

@@ -1,8 +1,6 @@
 """The control cycle of both gears in C, for runs and export: slower controllers when they are due, then the 1 kHz law.
 Serves the paper's Fig. 4."""
 
-from __future__ import annotations
-
 import ctypes
 from functools import lru_cache
 from pathlib import Path

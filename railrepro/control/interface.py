@@ -1,26 +1,12 @@
 """Names and units of the quantities that the 1 kHz control law measures, logs and limits. Serves the paper's Fig. 4."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 
-from railrepro.car.component import DERAILED
+from railrepro.car.outputs import GearStates
 from railrepro.data import between
 from railrepro.model.control_model import STATES
 from railrepro.quantities import Scalar, names
-
-
-@dataclass(frozen=True)
-class MeasuredGear:
-    """Measured states of a running gear, see `car.outputs.GearStates`."""
-
-    p: Annotated[Scalar, between(-1e6, 1e6, "m"), "track coordinate"]
-    psi_Ax: Annotated[Scalar, between(-1e3, 1e3, "rad"), "heading"]
-    v: Annotated[Scalar, between(-1.0, 150.0, "m/s"), "speed along the track"]
-    psidot_Ax: Annotated[Scalar, between(-10.0, 10.0, "rad/s"), "yaw rate"]
-    y: Annotated[Scalar, between(-DERAILED, DERAILED, "m"), "lateral displacement from the track"]
-    psi_TrAx: Annotated[Scalar, between(-1.0, 1.0, "rad"), "yaw angle against the track"]
 
 
 @dataclass(frozen=True)
@@ -37,8 +23,8 @@ class Measured:
     """Outputs of the car that the law measures. An exported controller refuses values out of range, and a `p` that is
     not on its route."""
 
-    front: MeasuredGear
-    rear: MeasuredGear
+    front: GearStates
+    rear: GearStates
     front_le: MeasuredWheel
     front_ri: MeasuredWheel
     rear_le: MeasuredWheel

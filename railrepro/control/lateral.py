@@ -4,8 +4,6 @@ A 1 kHz law such as NDI is written in CasADi expressions and becomes part of the
 numbers, so one compiled object serves all tunings of a law. Serves the paper's Fig. 4.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -114,10 +112,9 @@ class SlowController(Protocol):
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
         """Differential torque (N m) to hold until the next sample. Not needed if `compiled` returns addresses.
 
-        Args:
-            x_hat (ndarray, shape (6,)): Measured or estimated state of the gear: track coordinate (m), heading (rad),
-                speed (m/s), yaw rate (rad/s), lateral displacement (m), yaw angle against the track (rad).
-            u_d (float): Base torque per wheel (N m).
+        `x_hat`, shape (6,), is the measured or estimated state of the gear: track coordinate (m), heading (rad), speed
+        (m/s), yaw rate (rad/s), lateral displacement (m), yaw angle against the track (rad). `u_d` is the base torque
+        per wheel (N m).
         """
 
 
@@ -207,12 +204,9 @@ def gains_of(law: LateralLaw) -> dict[str, float]:
 
 
 def signature(law: LateralLaw) -> Signature:
-    """`Signature` of a 1 kHz law, from one call of `law.torque(q)` with CasADi symbols.
-
-    Raises:
-        InputError: A gain is not a finite number or its name is taken; the torque or a next state is no scalar
-            expression; the states are not those of `memory`; or the law uses a symbol that is not in `q`.
-    """
+    """`Signature` of a 1 kHz law, from one call of `law.torque(q)` with CasADi symbols. InputError if a gain is not a
+    finite number or its name is taken, the torque or a next state is no scalar expression, the states are not those of
+    `memory`, or the law uses a symbol that is not in `q`."""
     owner, memory, gains = _owner(law), tuple(getattr(law, "memory", ())), tuple(gains_of(law))
     equations = type(law), getattr(type(law), "torque", None), memory, gains
     if equations in _alike:

@@ -5,8 +5,6 @@ run-time inputs, so laws that differ in numbers only share compiled code. Serves
 Adhesion Control and Integration Approach.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Annotated, Any
@@ -142,14 +140,10 @@ def control_law(
 ) -> ControlLaw:
     """Make the 1 kHz law of both gears. InputError if an argument has a wrong type or value, see `lateral.signature`.
 
-    Args:
-        vehicle (Vehicle): Vehicle parameters that the controllers assume.
-        guidance (LateralLaw, optional): Lateral law; default `ZeroOrderHold`.
-        adhesion (AdhesionSettings, optional): Default `AdhesionSettings()`, with the values of `sensors.loop.adhesion`.
-        fixed_share (float): Share of the torque limit reserved for the differential torque (-), see `allocate`.
-        sensors (Readings, optional): Sensors and latencies between car and controllers; default none.
-        lateral_limit, track_end, stop_speed (float): A run ends when |lateral displacement| of a gear exceeds
-            `lateral_limit` (m), or the front gear reaches `track_end` (m) or is as slow as `stop_speed` (m/s).
+    `vehicle` has the parameters that the controllers assume. The default `guidance` is `ZeroOrderHold`, that of
+    `adhesion` is `AdhesionSettings()` with the values of `sensors.loop.adhesion`. `fixed_share` is as in `allocate`. A
+    run ends when |lateral displacement| of a gear exceeds `lateral_limit` (m), or the front gear reaches `track_end`
+    (m) or is as slow as `stop_speed` (m/s).
     """
     require("fixed_share", fixed_share, _SHARE)
     if sensors is not None:

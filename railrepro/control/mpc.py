@@ -4,8 +4,6 @@ A sample is compiled code, `planner.c`, which the closed loop calls without Pyth
 called from Python. Serves the paper's sections Nonlinear and Linear Time-Variant Model Predictive Control.
 """
 
-from __future__ import annotations
-
 import ctypes
 import time
 from dataclasses import dataclass, field

@@ -6,19 +6,17 @@ y. It knows the track at the present position and has no preview. Serves the pap
 Results (comparison after Grether 2018 and Heckmann 2020).
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass
 from typing import Annotated
 
 import casadi as ca
+from pydantic import StrictBool
 
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.control import lateral
-from railrepro.data import Quantity, above, between, check_fields
+from railrepro.data import Quantity, above, between, table
 
 
-@dataclass(frozen=True)
+@table
 class NDI:
     """Lateral law by dynamic inversion, which gives the lateral error linear third-order dynamics with chosen poles."""
 
@@ -30,15 +28,12 @@ class NDI:
     """Damping ratio of the complex pole pair (-)."""
     integral: Annotated[float, between(0.0, 1e4)] = 0.0
     """Integral gain ki over (k0 pole) (-), see `gains`. 0: no integral action."""
-    rates: bool = False
+    rates: StrictBool = False
     """Whether the first three derivatives of the set point are fed forward. As we read the paper, they are not."""
 
     alike = True
     memory = ("integral",)
     """Names of the states: integral of the lateral error y* - y (m s)."""
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     def gains(self) -> dict[str, float]:
         """Gains of the law by name: k0 (1/s^3), k1 (1/s^2), k2 (1/s), ki (1/s^4), ff (-). The error dynamics have the

@@ -7,18 +7,17 @@ soft: exceeding it costs the square of the slack, so no state makes the problem 
 numbers or CasADi expressions. Source: eqs. (31) and (32) of the paper.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, Self
 
 import casadi as ca
 import numpy as np
+from pydantic import StrictBool
 
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile.codegen import stored
 from railrepro.compile.reciprocals import share_reciprocals
-from railrepro.data import InputError, above, between, check_fields, require
+from railrepro.data import above, between, require, table
 from railrepro.model.control_model import PSI_TRAX, STATES, TAU_LE, TAU_RI, THETA, Y, control_model, discretise
 from railrepro.model.forecast import Forecast
 from railrepro.model.parameters import PARAMETERS
@@ -44,7 +43,7 @@ class Tuning(NamedTuple):
     bound_weight: Any
 
     @classmethod
-    def of(cls, vector) -> Tuning:
+    def of(cls, vector) -> Self:
         """`Tuning` from a vector in the order of `TUNING`."""
         return cls(vector[: len(STATES)], *(vector[i] for i in range(len(STATES), len(TUNING))))
 
@@ -111,11 +110,11 @@ def torque_limit() -> ca.Function:
     return ca.Function("torque_limit", [speed, par, numbers], [ca.SX(limit)])
 
 
-@dataclass(frozen=True)
+@table
 class MPCSettings:
     """Settings of a predictive controller: weights, horizon, prediction model, bounds. InputError if one is invalid."""
 
-    q_diag: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+    q_diag: tuple[Any, ...] = (0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
     """Diagonal of Q: weights of the six states (1/m^2, 1/rad^2, s^2/m^2, s^2/rad^2, 1/m^2, 1/rad^2)."""
     r: Annotated[float, above(0.0, 1e9, "1/(N m)^2")] = 1e-11
     """Weight R of du^2 (1/(N m)^2)."""
@@ -133,24 +132,22 @@ class MPCSettings:
     """Soft bound of |y_TrAx| (m)."""
     bound_weight: Annotated[float, between(0.0, 1e9)] = 100.0
     """Weight of the squared slack of the lateral bound, relative to the weight of y (-)."""
-    yielding: bool = True
+    yielding: StrictBool = True
     """True: |du| may use the whole motor torque, and the base torque yields, as in `allocate`. False: |du| is limited
     to the torque that the base torque leaves, as printed. At the limit of the base torque this is 0 (D10)."""
-    informed: bool = True
+    informed: StrictBool = True
     """Whether forecast and prediction model know the base torque. False: they assume 0."""
     observer: Annotated[float, between(0.0, 1.0)] = 0.0
     """Gain of the offset observer (-). It estimates the creep angle between axle and direction of motion (rad): each
     sample adds gain (y - predicted y)/(v T). 0: no observer, as in the paper."""
 
     def __post_init__(self) -> None:
-        check_fields(self)
         if self.period < CONTROL_PERIOD or not round(self.period / CONTROL_PERIOD, 6).is_integer():
-            raise InputError(f"MPCSettings: period is {self.period:g} s, a whole number of ms is needed")
-        q = self.q_diag
-        if not isinstance(q, tuple | list) or len(q) != len(STATES):
-            raise InputError(f"MPCSettings: q_diag is {q!r}, {len(STATES)} weights are needed")
-        for weight, (name, allowed) in zip(q, WEIGHTS.items(), strict=True):
-            require(f"MPCSettings: q_diag, {name}", weight, allowed)
+            raise ValueError(f"period is {self.period:g} s, a whole number of ms is needed")
+        if len(self.q_diag) != len(STATES):
+            raise ValueError(f"q_diag is {self.q_diag}, {len(STATES)} weights are needed")
+        for weight, (name, allowed) in zip(self.q_diag, WEIGHTS.items(), strict=True):
+            require(f"q_diag, {name}", weight, allowed)
 
     def tuning(self) -> np.ndarray:
         """The tuning vector: weights and bounds in the order of `TUNING`, in the units of the fields."""

@@ -2,8 +2,6 @@
 parameters are in data/tuned, one file per setting and controller; data/tuning.toml has those that a designer chose.
 Serves the paper's section Multi-Body Simulation Results."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -29,12 +27,10 @@ PAPER, LOOP = SETTINGS
 class Controller:
     """Entry of `CONTROLLERS`: how a lateral controller is made from its tuning parameters.
 
-    Attributes:
-        build (callable): Function settings -> guidance for `simulate.run`, a 1 kHz law or a factory.
-        settings (callable): Function from a dict of tuning parameters to settings, such as `MPCSettings` or `NDI`.
-        preview (bool): Whether the controller knows set point and track ahead.
-        quick (dict): Argument `options` of `guidance` for studies: a faster solver with nearly the same torques.
-        needed (tuple of str): Names of the tuning parameters that have no default.
+    `settings` makes settings, such as `MPCSettings` or `NDI`, from a dict of tuning parameters, of which `needed` have
+    no default. `build` makes from settings the guidance for `simulate.run`, a 1 kHz law or a factory. `preview` says
+    whether the controller knows set point and track ahead. `quick` is the argument `options` of `guidance` for studies:
+    a faster solver with nearly the same torques.
     """
 
     build: Callable
@@ -128,11 +124,9 @@ def with_r_times(parameters: dict, factor: float) -> dict:
 def guidance(name: str, parameters: dict, options: dict | None = None, **changes):
     """Make a lateral controller for `simulate.run`. InputError for an unknown name or argument.
 
-    Args:
-        name (str): Key of `CONTROLLERS`.
-        parameters (dict): Tuning parameters, see data/tuning.toml.
-        options (dict, optional): Further arguments of a predictive controller, such as {"solver": "rti"}.
-        changes (optional): Fields of `MPCSettings` or `NDI` that replace those from `parameters`.
+    `name` is a key of `CONTROLLERS`, `parameters` are tuning parameters, see data/tuning.toml. `options` are further
+    arguments of a predictive controller, such as {"solver": "rti"}; `changes` are fields of `MPCSettings` or `NDI` that
+    replace those from `parameters`.
     """
     require("controller", name, str)
     if name not in CONTROLLERS:

@@ -15,8 +15,6 @@ because an inversion must not react to beta at once. All estimates are predicted
 Serves the measured states of the paper's eq. (18).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -34,8 +32,7 @@ from railrepro.vehicle.parameters import Vehicle
 
 SPEEDS = (2.0, 5.0, 10.0, 20.0, 40.0, 70.0, 120.0)
 """Speeds at which the gains of the lateral filter are computed (m/s)."""
-_LEAST_NOISE = 1e-9
-"""Assumed noise of perfect sensors (SI), which keeps the gains finite."""
+_LEAST_NOISE = 1e-9  # Assumed noise of perfect sensors (SI), which keeps the gains finite
 LATERAL = ("y", "psi", "r", "bias", "beta")
 """States of the lateral filter: displacement (m), yaw angle against the track (rad), absolute yaw rate (rad/s), gyro
 bias (rad/s), creep angle (rad). The first three are read."""
@@ -156,13 +153,9 @@ def observe(
 
     Returns the `Estimates` at that time, and the corrected `FilterState` at the time of the readings. Numbers are SX.
 
-    Args:
-        readings (Signals): Delayed readings.
-        commands (two lists): Torques sent to the left and the right wheel before this cycle (N m), newest first.
-        track (lateral.TrackInputs): Track at the gear.
-        ticks: Control cycles since the start. At 0 the states are set from the readings.
-        sensor, gain (SensorGains, law.SensedGains): Run-time numbers of the sensors and of the law.
-        memory (FilterState): States before the correction, at the time of the readings.
+    `commands` has two lists, torques sent to the left and the right wheel before this cycle (N m), newest first.
+    `track` is a `lateral.TrackInputs` at the gear, `gain` a `law.SensedGains`. `ticks` counts the control cycles since
+    the start; at 0 the states are set from the readings. `memory` are the states at the time of the readings.
     """
     planes = readings.y_ahead, readings.y_behind
     read = sum(planes) / 2, (planes[0] - planes[1]) / sensor.base, readings.psidot_Ax

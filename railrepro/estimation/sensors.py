@@ -4,12 +4,10 @@ Noise is counter-based: a function of seed, signal and millisecond, so it is the
 The paper calls lateral position and yaw difficult or costly to measure; its simulation measures them exactly.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Self
 
 import casadi as ca
 import numpy as np
@@ -44,34 +42,6 @@ _SEEDS = 1_000_003
 
 
 @dataclass(frozen=True)
-class Quality:
-    """Errors of the sensor of one signal in one run: standard deviation, constant offset and step, in its unit."""
-
-    noise: Scalar
-    bias: Scalar
-    resolution: Scalar
-
-
-@dataclass(frozen=True)
-class SensorGains:
-    """Run-time numbers of the sensors of a running gear."""
-
-    y_ahead: Quality
-    y_behind: Quality
-    psidot_Ax: Quality
-    w_le: Quality
-    w_ri: Quality
-    v: Quality
-    p: Quality
-    measurement: Annotated[Scalar, data.between(0, LONGEST, "ms"), "delay of readings"]
-    command: Annotated[Scalar, data.between(0, LONGEST, "ms"), "delay of commands"]
-    unknown_delay: Annotated[Scalar, data.between(0, LONGEST, "ms"), "delay of the inverter"]
-    torque_gain: Annotated[Scalar, _RANGES["inverter.gain"], "gain of the inverter"]
-    seed: Annotated[Scalar, data.between(0, _SEEDS), "seed of the noise"]
-    base: Annotated[Scalar, _RANGES["lateral.base"], "distance of the two planes"]
-
-
-@dataclass(frozen=True)
 class SensorMemory:
     """Delay lines of readings and torque commands (N m), newest first. The position p is read without delay."""
 
@@ -91,14 +61,9 @@ def _upto(high: float, unit: str) -> Parameter:
 
 @data.table
 class Lateral:
-    """Two sensors of the lateral displacement of a gear from the rails, one ahead of the axle and one behind it.
-
-    Attributes:
-        base (float): Distance between the sensors along the track (m).
-        noise (float): Standard deviation of a reading (m).
-        bias (float): Largest constant offset (m). A run draws its offset uniformly from [-bias, bias].
-        resolution (float): Step to which a reading is rounded (m); 0 for no rounding.
-    """
+    """Two sensors of the lateral displacement of a gear from the rails (m), one ahead of the axle and one behind it.
+    `base` is their distance along the track, `noise` the standard deviation of a reading, `resolution` the step to
+    which it is rounded (0: none). A run draws its constant offset uniformly from [-bias, bias]."""
 
     base: Annotated[float, Parameter(0.1, 5.0, "m")]
     noise: Annotated[float, _upto(0.01, "m")]
@@ -194,7 +159,7 @@ class Loop:
         if total > LONGEST * CONTROL_PERIOD + 1e-9:
             raise ValueError(f"latency of {1e3 * total:g} ms in all, at most {LONGEST} ms are allowed")
 
-    def perfect(self) -> Loop:
+    def perfect(self) -> Self:
         """Copy with exact readings, no latency, and an adhesion law for exact readings. Inverter errors stay."""
         exact = {sensor: replace(getattr(self, sensor), noise=0.0, bias=0.0, resolution=0.0) for sensor in _SENSORS}
         return replace(self, **exact, latency=Latency(0.0, 0.0), adhesion=Adhesion(5e-3, 1e-3, 0.0))
@@ -212,6 +177,34 @@ class Loop:
 _RANGES = dict(notes(Loop))
 
 
+@dataclass(frozen=True)
+class Quality:
+    """Errors of the sensor of one signal in one run: standard deviation, constant offset and step, in its unit."""
+
+    noise: Scalar
+    bias: Scalar
+    resolution: Scalar
+
+
+@dataclass(frozen=True)
+class SensorGains:
+    """Run-time numbers of the sensors of a running gear."""
+
+    y_ahead: Quality
+    y_behind: Quality
+    psidot_Ax: Quality
+    w_le: Quality
+    w_ri: Quality
+    v: Quality
+    p: Quality
+    measurement: Annotated[Scalar, data.between(0, LONGEST, "ms"), "delay of readings"]
+    command: Annotated[Scalar, data.between(0, LONGEST, "ms"), "delay of commands"]
+    unknown_delay: Annotated[Scalar, data.between(0, LONGEST, "ms"), "delay of the inverter"]
+    torque_gain: Annotated[Scalar, _RANGES["inverter.gain"], "gain of the inverter"]
+    seed: Annotated[Scalar, data.between(0, _SEEDS), "seed of the noise"]
+    base: Annotated[Scalar, _RANGES["lateral.base"], "distance of the two planes"]
+
+
 def quality_ranges() -> dict[str, data.Quantity]:
     """Return the range of each sensor error in `SensorGains` as a dict by its name, such as "y_ahead.noise"."""
     return {
@@ -227,7 +220,7 @@ def load_loop(path: Path | str | None = None, **overrides) -> Loop:
     return loaded(Loop, data.location(path, paths.source("data/sensors.toml")), overrides)[0]
 
 
-def readings(perfect: bool = False, seed: int = 0, **overrides) -> Readings:
+def readings(perfect: bool = False, seed: int = 0, **overrides) -> "Readings":
     """Make `Readings` with the data of data/sensors.toml, changed by `overrides` as in `load_loop`, for one `seed` of
     noise and biases. With `perfect` the readings are exact, see `Loop.perfect`."""
     loop = load_loop(**overrides)
@@ -258,13 +251,9 @@ class Readings:
 def sense(truth: Signals, ticks, gear: int, gain: SensorGains, memory: SensorMemory) -> tuple[Signals, dict[str, list]]:
     """Read the sensors of a gear (0 front, 1 rear) in this control cycle. All numbers are of type SX.
 
-    Returns the readings that reach the controller, and a dict of the next delay lines by signal, without "p".
-
-    Args:
-        truth (Signals): Exact values.
-        ticks: Control cycles since the start. At 0 the delay lines are filled with the first reading.
-        gain (SensorGains): Run-time numbers of the sensors.
-        memory (SensorMemory): Delay lines after the previous cycle.
+    `truth` are the exact values, `memory` the delay lines after the previous cycle. `ticks` counts the control cycles
+    since the start; at 0 the delay lines are filled with the first reading. Returns the readings that reach the
+    controller, and a dict of the next delay lines by signal, without "p".
     """
     readings, lines = {}, {}
     for i, signal in enumerate(SIGNALS):

@@ -16,8 +16,6 @@ over settings. A seed determines sensor noise, irregularities and cars. The publ
 ranked by seeds that follow from its content (`ranked_seeds`).
 """
 
-from __future__ import annotations
-
 import hashlib
 import multiprocessing
 import runpy

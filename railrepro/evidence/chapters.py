@@ -1,8 +1,6 @@
 """What several chapters of the book use besides the facade: sentences with conditions, figures, source code, and the
 calibrated car."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import textwrap

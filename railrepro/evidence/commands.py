@@ -1,7 +1,5 @@
 """The commands of `python -m railrepro` and their arguments; the modules of a command are imported when it runs."""
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import os

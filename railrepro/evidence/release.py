@@ -5,8 +5,6 @@ millisecond: the four torque commands, named as the inputs of the FMU, and its o
 step with these torques. Stepped by 1 ms with the torques of a file, the FMU gives its displacements to the last digit.
 """
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 

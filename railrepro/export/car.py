@@ -1,12 +1,9 @@
 """Export of the car as an FMU (FMI 2.0) for co-simulation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from railrepro.car import component, equations
-from railrepro.car.component import LARGEST_SPEED, LARGEST_STATE, LARGEST_TORQUE, SteppedCar
 from railrepro.compile import codegen
 from railrepro.data import above
 from railrepro.export.fmu import Fmu, Variable, constant, numbers_text, variable, variables
@@ -29,24 +26,18 @@ def export_fmu(
     The inputs are the torques `INPUTS`, the outputs those of `railrepro.car.equations.car()`. The parameters are those
     of `equations.CarParameters`, such as "body.mass", and "speed", the initial speed. Route and contact table are
     constants. The communication step must be a whole number of ms. The FMU returns the status Error if a torque is NaN
-    or its magnitude above 1e5 N m, and if a state is not finite or reaches 1e7 (SI).
-
-    Args:
-        path (path): File to write.
-        route (Route or str): Route, or the name of a track.
-        speed (float): Initial speed (m/s), above 0 up to 125.
-        vehicle (Vehicle, optional): Default data/vehicle.toml.
-        platforms (sequence of str, optional): As in `export.fmu.Fmu.write`, which also lists the errors.
+    or its magnitude above 1e5 N m, and if a state is not finite or reaches 1e7 (SI). Route or name of a track, initial
+    speed (m/s) and vehicle are as in `car.component.SteppedCar`, platforms and errors as in `export.fmu.Fmu.write`.
     """
-    return car_fmu(SteppedCar(route, speed, vehicle), speed).write(path, platforms)
+    return car_fmu(component.SteppedCar(route, speed, vehicle), speed).write(path, platforms)
 
 
-def car_fmu(car: SteppedCar, speed: float, route_text: Callable = constant) -> Fmu:
+def car_fmu(car: component.SteppedCar, speed: float, route_text: Callable = constant) -> Fmu:
     """Make the `Fmu` of a car with its initial speed (m/s). `route_text` is as in `Export.fmu`."""
     parameters = variables(equations.CarParameters, car.parameters)
-    parameters.append(variable("speed", speed, above(0.0, LARGEST_SPEED, "m/s")))
-    inputs = [Variable(name, 0.0, "N m", -LARGEST_TORQUE, LARGEST_TORQUE) for name in INPUTS]
-    numbers = {"N_INPUT": len(INPUTS), "LARGEST_STATE": LARGEST_STATE}
+    parameters.append(variable("speed", speed, above(0.0, component.LARGEST_SPEED, "m/s")))
+    inputs = [Variable(name, 0.0, "N m", -component.LARGEST_TORQUE, component.LARGEST_TORQUE) for name in INPUTS]
+    numbers = {"N_INPUT": len(INPUTS), "LARGEST_STATE": component.LARGEST_STATE}
     text = component.c_text(equations.rest(car.table)) + codegen.defines(numbers)
     text += f"static const car_t CAR = {codegen.initialiser(car.c)};\n" + route_text("CELLS", car.route.cells)
     text += constant("CONTACTS", car.table.cells()) + numbers_text(inputs, parameters)

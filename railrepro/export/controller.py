@@ -5,8 +5,6 @@ filter) and slower controllers with their own period. Its inputs are outputs of 
 torques. A master that steps the controller before the car, each by 1 ms, gives the trajectory of `simulate.run`.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace

@@ -4,8 +4,6 @@ Car and controllers have their own C interface (type `fmu_t`, reset, begin, adva
 of the standard. All their run-time numbers are parameters of the FMU, with the range of their `data.Quantity`.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import reprlib

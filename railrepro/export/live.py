@@ -4,8 +4,6 @@
 of the FMUs. With the committed values its results equal those of `simulate` bit for bit.
 """
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import html
@@ -23,7 +21,6 @@ from railrepro.compile import cache, codegen
 from railrepro.control import interface
 from railrepro.control.lateral import Guidance, ZeroOrderHold
 from railrepro.control.registry import CONTROLLERS, REPLICATED, tuned
-from railrepro.data import Quantity, between, write
 from railrepro.export.car import car_fmu
 from railrepro.export.controller import Export
 from railrepro.export.fmu import Fmu
@@ -43,7 +40,7 @@ SHOWN = (*REPLICATED, "ndi_swarm")
 """Controllers of the page. They are those of the setting `paper`, as the page has no sensors."""
 OWN = "own"
 """Name of the controller whose torque is that of a law that a user writes on the page."""
-FACTORS = {"force": between(0.0, 2.0), "r": between(1e-3, 1e4), "faster": between(0.1, 5.0)}
+FACTORS = {"force": data.between(0.0, 2.0), "r": data.between(1e-3, 1e4), "faster": data.between(0.1, 5.0)}
 """Ranges of the factors on the force demand, on R of the predictive controllers and on the poles of NDI."""
 
 
@@ -96,7 +93,7 @@ def content() -> dict:
         cells = np.pad(routes[name].cells, ((0, more), (0, 0)), "edge")
         figures[name] = {"title": title, "cells": _packed(cells)} | _experiment(scenarios[name])
     ranges = {"speed_kmh": dict(notes(Scenario))["speed_kmh"], "amplitude_mm": dict(notes(Sine))["amplitude_mm"]}
-    ranges |= FACTORS | {name: note for name, note in notes(equations.CarParameters) if isinstance(note, Quantity)}
+    ranges |= FACTORS | {name: note for name, note in notes(equations.CarParameters) if isinstance(note, data.Quantity)}
     shown = {"car": car, "controllers": controllers, "figures": figures}
     return {"columns": list(COLUMNS), "ranges": {key: asdict(allowed) for key, allowed in ranges.items()}} | shown
 
@@ -132,7 +129,7 @@ def page(embedded: dict) -> str:
 def main() -> None:
     """Write build/live/index.html, and in the same folder car.mjs and content.json, the dict of `content`."""
     embedded, folder = content(), paths.BUILD / "live"
-    write(folder / "index.html", page(embedded))
-    write(folder / "car.mjs", data.text(_HERE / "car.mjs"))
-    write(folder / "content.json", json.dumps(embedded))
+    data.write(folder / "index.html", page(embedded))
+    data.write(folder / "car.mjs", data.text(_HERE / "car.mjs"))
+    data.write(folder / "content.json", json.dumps(embedded))
     print(f"{folder / 'index.html'}: {(folder / 'index.html').stat().st_size / 1e6:.2f} MB")

@@ -1,7 +1,5 @@
 """The control-oriented model as CasADi functions, continuous and discretised. Source: eqs. (7) and (18) to (20)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

@@ -7,8 +7,6 @@ energies first (erratum D1). An argument `discrepancies` is the set of the errat
 paper's section Control-Oriented Model.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import sympy as sp

@@ -1,7 +1,5 @@
 """Forecast of position, speed, set point and track over the horizon of a predictive controller. Source: eq. (34)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import casadi as ca
@@ -43,11 +41,9 @@ def nominal_values(vehicle: Vehicle, gear: int, printed: bool = False) -> np.nda
 def functions() -> tuple[ca.Function, ca.Function]:
     """Make two CasADi functions of the forecast at a time t (s) ahead, in SI units. Source: eqs. (34) and (14), (15).
 
-    Returns:
-        position: (state x_hat[6], base torque u_d, t, nominal[3] of `NOMINAL`) -> track coordinates of this gear and of
-            the other one [2].
-        stage: (x_hat, u_d, t, nominal, here, there) -> x_d[6], theta[9] as in `Forecast`, with the rows of
-            `Route.cells` at these two coordinates.
+    The first maps (state x_hat[6], base torque u_d, t, nominal[3] of `NOMINAL`) to the track coordinates of this gear
+    and of the other one [2]. The second maps (x_hat, u_d, t, nominal, here, there), with the rows of `Route.cells` at
+    these two coordinates, to x_d[6] and theta[9] as in `Forecast`.
     """
     x_hat, u_d, t = ca.SX.sym("x_hat", len(STATES)), ca.SX.sym("u_d"), ca.SX.sym("t")
     vehicle = ca.SX.sym("nominal", len(NOMINAL))

@@ -1,8 +1,6 @@
 """Parameters of the control model with their ranges, and the errata that a variant of it can keep. Serves the paper's
 section Control-Oriented Model."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from railrepro.data import above, between

@@ -13,8 +13,6 @@ F_y and moment M_s of both contacts, force F_N normal to the rails, and half the
 creep forces. In contact forces y counts from the rails. Slopes of the wheel profile are secants.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from railrepro.contact.table import contact_table
@@ -31,8 +29,7 @@ UNKNOWN = ("force", "moment")
 """Unknown inputs: lateral force (N) and yaw moment (N m) on the gear."""
 UNITS = (1e-3, 1e-2, 1e-3, 1e-2, 1e-2, 100.0)
 """Usual magnitudes of `STATES` (SI), by which Riccati equations are scaled."""
-_REACH = 1e-3
-"""Displacement to either side at which the secants of a wheel profile end (m)."""
+_REACH = 1e-3  # Displacement to either side at which the secants of a wheel profile end (m)
 
 
 def _profile(vehicle: Vehicle) -> tuple[dict[str, float], float, float, float]:

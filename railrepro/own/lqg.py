@@ -17,11 +17,8 @@ state has a yaw rate. The rear gear gets the rails from a fixed-lag smoother of 
 Moore 1990, Optimal Control, ch. 2, 4 and 8; 1979, Optimal Filtering, ch. 7 (smoothing) and 10 (several models).
 """
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
@@ -33,7 +30,7 @@ from scipy.signal import cont2discrete
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
 from railrepro.control import lateral
-from railrepro.data import between, check_fields
+from railrepro.data import between, table
 from railrepro.estimation.sensors import Loop
 from railrepro.model.forecast import nominal_values
 from railrepro.own.gear_model import KNOWN, STATES, UNITS, UNKNOWN, lateral_model
@@ -44,12 +41,9 @@ SPEEDS = 1.5 * np.exp(0.1 * np.arange(46))
 """Speeds for which filters and regulators are designed (m/s), shape (46,); below the first the torque is held."""
 TAP, LAG, LAGS, PITCH = 0.02, 4e-3, 20, 0.25
 """Time between points of the preview, time between lags of the smoother (s), their number, pitch of the rails (m)."""
-_SHORT, _LONG = 0.8246, 0.0206
-"""Omega_c and Omega_r of the spectrum (rad/m)."""
-_SMOOTH = 1e-12
-"""Amplitude A of ideal rails (m rad); above 0, so that equations are regular."""
-_LEAK = 1 / 30
-"""Rate at which random walks return to zero (1/s): slower than any run, but stable."""
+_SHORT, _LONG = 0.8246, 0.0206  # Omega_c and Omega_r of the spectrum (rad/m)
+_SMOOTH = 1e-12  # Amplitude A of ideal rails (m rad); above 0, so that equations are regular
+_LEAK = 1 / 30  # Rate at which random walks return to zero (1/s): slower than any run, but stable
 _N, _RAIL, _RATE, _MODEL, _FREE = len(STATES), *(len(STATES) + k for k in (2, 3, 4, 6))
 """Number of states of the gear; indices of rail offset and its rate; numbers of states without and with biases."""
 
@@ -69,7 +63,7 @@ class Design:
             (rad/s^0.5, rad/s^1.5).
     """
 
-    def __init__(self, vehicle: Vehicle, speed: float, settings: LqgPreview, loop: Loop | None):
+    def __init__(self, vehicle: Vehicle, speed: float, settings: "LqgPreview", loop: Loop | None):
         self.speed, self.settings, h = speed, settings, CONTROL_PERIOD
         self.delay = 0 if loop is None else 1 + round((loop.latency.measurement + loop.latency.command) / h)
         self.sent = max(self.delay, 1)
@@ -185,7 +179,7 @@ def riccati(a: np.ndarray, b: np.ndarray, q: np.ndarray, units: np.ndarray) -> n
 
 
 @lru_cache(maxsize=1)
-def designs(vehicle: Vehicle, settings: LqgPreview, loop: Loop | None) -> tuple[int, np.ndarray]:
+def designs(vehicle: Vehicle, settings: "LqgPreview", loop: Loop | None) -> tuple[int, np.ndarray]:
     """Make the designs at all `SPEEDS`; returns `Design.delay`, and an array (46, n) with `Design.table` of each."""
     made = [Design(vehicle, speed, settings, loop) for speed in SPEEDS]
     return made[0].delay, np.array([design.table() for design in made])
@@ -220,7 +214,7 @@ class LqgGear:
 
     period = CONTROL_PERIOD
 
-    def __init__(self, vehicle: Vehicle, route: Route, gear: int, settings: LqgPreview):
+    def __init__(self, vehicle: Vehicle, route: Route, gear: int, settings: "LqgPreview"):
         lateral.check_arguments("LqgPreview", vehicle, route, gear)
         self.vehicle, self.route, self.gear, self.settings = vehicle, route, gear, settings
 
@@ -252,7 +246,7 @@ class LqgGear:
             leader.memory.follower = ctypes.addressof(self.memory)
         return ctypes.cast(self.library.lqg_sample, ctypes.c_void_p).value or 0, ctypes.addressof(self.memory)
 
-    def exported(self, gears: Sequence[LqgGear], loop: Loop | None) -> str:
+    def exported(self, gears: Sequence["LqgGear"], loop: Loop | None) -> str:
         """C source, for an export, of the controllers [front, rear] with the tables of their designs."""
         for gear in gears:
             gear.compiled(loop)
@@ -263,7 +257,7 @@ class LqgGear:
         return _source(*self.sizes)[0] + text + Path(__file__).with_name("lqg_export.c").read_text(encoding="utf-8")
 
 
-@dataclass(frozen=True)
+@table
 class LqgPreview:
     """Factory of LQG controllers with preview, a guidance for `simulate.run`; notebook `12_lqg` derives settings."""
 
@@ -286,9 +280,6 @@ class LqgPreview:
     """Time constant (s) with which the log-likelihoods of the filters forget old readings."""
     preview: Annotated[float, between(0.02, 5.0, "s")] = 0.6
     """Length of the preview of set point and track (s)."""
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     def __call__(self, vehicle: Vehicle, route: Route, gear: int) -> LqgGear:
         """Make the controller of a gear (0 front, 1 rear)."""

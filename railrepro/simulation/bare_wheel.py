@@ -1,8 +1,6 @@
 """One driven wheel under the 1 kHz adhesion law, with Polach's creep law and a quarter of the car as its mass. Serves
 the paper's Fig. 5 and section Adhesion Control."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -19,8 +17,7 @@ from railrepro.control.adhesion import AdhesionInputs, AdhesionMemory, AdhesionS
 from railrepro.quantities import Scalar, indices, names, pack, symbols
 from railrepro.vehicle.parameters import AdhesionSet, Vehicle
 
-_SUBSTEPS, _LIMIT = 20, 1e5
-"""Integration steps per control cycle; torque limit (N m), more than adhesion can transmit."""
+_SUBSTEPS, _LIMIT = 20, 1e5  # Integration steps per control cycle; torque limit (N m), more than adhesion can transmit
 
 
 @dataclass(frozen=True)
@@ -85,11 +82,9 @@ def _cycle(vehicle: Vehicle) -> ca.Function:
 def simulate(vehicle: Vehicle, cases: Sequence[Case], speed, demand) -> Traces:
     """Simulate single driven wheels under the 1 kHz adhesion law. They start rolling freely, with zero torque.
 
-    Args:
-        vehicle (Vehicle): Source of wheel, load and contact patch. A wheel with the load Q accelerates the mass Q/g.
-        cases (sequence of Case): Adhesion law and rail of each wheel.
-        speed (float or array_like, shape (wheels,)): Initial running speeds (m/s).
-        demand (array_like, shape (ms,) or (ms, wheels)): Set point of the adhesion f_x (-), traction-positive.
+    A wheel of `vehicle` with the load Q accelerates the mass Q/g. `cases` has adhesion law and rail of each wheel,
+    `speed` the initial running speeds (m/s), one number or shape (wheels,). `demand` is the set point of the adhesion
+    f_x (-), traction-positive, shape (ms,) or (ms, wheels).
     """
     demand = np.asarray(demand, dtype=float).reshape(len(demand), -1)
     call = codegen.CompiledFunction(_cycle(vehicle).map("bare_wheels", "serial", len(cases), [], []))

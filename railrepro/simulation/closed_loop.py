@@ -1,7 +1,5 @@
 """Car and control law coupled at 1 kHz: `loop.c` runs the compiled car and `railrepro.control.cycle` in C."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 import time
@@ -13,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from railrepro.car import component
-from railrepro.car.component import SteppedCar
 from railrepro.car.outputs import Outputs
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
@@ -21,8 +18,7 @@ from railrepro.control import cycle, interface, law
 from railrepro.data import between, require
 from railrepro.quantities import names
 
-_BLOCK = 10_000
-"""Most control cycles in one call of C."""
+_BLOCK = 10_000  # Most control cycles in one call of C
 _LONGEST_CALL = 0.1
 """Duration of a call of C (s) above which the next ones get shorter: Python sees Ctrl-C between them."""
 _SOURCE = Path(__file__).with_name("loop.c").read_text(encoding="utf-8")
@@ -57,8 +53,8 @@ class ClosedLoop:
     memory = codegen.in_c("memory")
     state = property(lambda self: self.car.state)
 
-    def __init__(self, car: SteppedCar, control: law.ControlLaw):
-        require("car", car, SteppedCar)
+    def __init__(self, car: component.SteppedCar, control: law.ControlLaw):
+        require("car", car, component.SteppedCar)
         require("control", control, law.ControlLaw)
         self.car, self.control, self.ended, signature = car, control, False, control.signature
         car.look_up()

@@ -1,8 +1,6 @@
 """Figures of merit of a run: tracking error, delay, effort, stopping distance, adhesion utilisation. `series` is always
 `simulate.Run.series`, `gear` is "front" or "rear". Serves the paper's section Multi-Body Simulation Results."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import scipy

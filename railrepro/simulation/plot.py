@@ -1,7 +1,5 @@
 """Panels of runs over the track coordinate, as the chapters draw them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 

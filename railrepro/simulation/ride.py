@@ -6,8 +6,6 @@ sampling rate (Hz). The sources say whether a number was *read* in a public docu
 their position on the track. Comfort weightings run forwards only, because the standards define one transfer function.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import scipy
@@ -30,10 +28,8 @@ WEIGHTINGS = {"Wd": (2.0, None, 1.0), "Wb": (16.0, (2.5, 0.8, 4.0, 0.8), 1.024)}
 """Frequency weightings: transition frequency (Hz); upward step f5 (Hz), Q5, f6 (Hz), Q6; gain above the step.
 Source: Wd: ISO 8041 (read in the manuals of two vibration meters); Wb: EN 12299:2009 (read in open software, agrees
 with what is recalled of UIC 513). ISO 2631-4 and BS 6841 have another curve Wb."""
-_LEAST_LOAD = 1e3
-"""Least divisor of Y/Q (N), so that a wheel that lifts gives no infinity."""
-_OUTWARDS = {"le": -1, "ri": 1}
-"""Sign of a force to the right that pushes the rail of a side outwards."""
+_LEAST_LOAD = 1e3  # Least divisor of Y/Q (N), so that a wheel that lifts gives no infinity
+_OUTWARDS = {"le": -1, "ri": 1}  # Sign of a force to the right that pushes the rail of a side outwards
 
 
 def ride_summary(series: pd.DataFrame, vehicle: Vehicle) -> dict[str, tuple[float, str]]:

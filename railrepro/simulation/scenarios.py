@@ -1,11 +1,9 @@
 """Scenarios: track, speed, adhesion, set point and force demand of a run. Serves the paper's section Test Tracks."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import casadi as ca
 import numpy as np
@@ -13,7 +11,6 @@ from pydantic import Field
 
 from railrepro import data, paths
 from railrepro.data import InputError, Number, above, between
-from railrepro.paths import Entries
 from railrepro.track import route
 from railrepro.track.alignment import GRAVITY
 from railrepro.track.table import load_track
@@ -36,13 +33,8 @@ class NoSetPoint:
 
 @data.table
 class Sine:
-    """Sinusoidal lateral set point, see `railrepro.track.route.SetPoint`.
-
-    Attributes:
-        amplitude_mm, period_m (float): Amplitude (mm), wavelength (m).
-        start_m, end_m (float): Track coordinates between which it acts (m); without `end_m` it has no end.
-        fade_m (float): Length over which the amplitude rises and falls (m); without it 30 m.
-    """
+    """Sinusoidal lateral set point of wavelength `period_m` from `start_m` to `end_m`, or without end. Its amplitude
+    rises and falls over `fade_m`, by default 30 m. See `railrepro.track.route.SetPoint`."""
 
     kind: Literal["sine"]
     amplitude_mm: _AMPLITUDE
@@ -127,7 +119,7 @@ class Scenario:
         both = self.poor_share or ((0.0, 0.0),)
         return self.poor_share_left or both, self.poor_share_right or both
 
-    def but(self, **changes) -> Scenario:
+    def but(self, **changes) -> Self:
         """Copy the scenario with the fields in `changes` replaced. InputError for a wrong field or value."""
         return replace(self, **changes)
 
@@ -172,14 +164,14 @@ class Scenario:
         return route.reference(route.SetPoint(kind, 1e-3 * point["amplitude_mm"], point[first], point[last], *where))
 
 
-def load_scenarios(path: Path | str | None = None) -> Entries[Scenario]:
+def load_scenarios(path: Path | str | None = None) -> paths.Entries[Scenario]:
     """Read the scenarios of a TOML file (default data/scenarios.toml) as a dict by name. InputError for a wrong one."""
     file = data.location(path, paths.source("data/scenarios.toml"))
     content = data.read(file)
     for name, entry in content.items():
         if isinstance(entry, dict):
             entry["name"] = name
-    return Entries(data.build(dict[str, Scenario], content, file.name), "data/scenarios.toml")
+    return paths.Entries(data.build(dict[str, Scenario], content, file.name), "data/scenarios.toml")
 
 
 def load_scenario(name: str) -> Scenario:

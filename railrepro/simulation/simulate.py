@@ -1,8 +1,6 @@
 """Multi-rate co-simulation: the car and the control law at 1 kHz, slower lateral controllers at their own period.
 Serves the paper's Fig. 4 and section Simulation Environment."""
 
-from __future__ import annotations
-
 import ctypes
 import itertools
 import math
@@ -16,7 +14,6 @@ import numpy as np
 import pandas as pd
 
 from railrepro.car import component, equations
-from railrepro.car.component import DERAILED, SteppedCar
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.control import cycle, interface, lateral, law
 from railrepro.control.adhesion import AdhesionSettings
@@ -40,8 +37,7 @@ class Run:
 
     Attributes:
         series (DataFrame): One row per ms: t_s (s), then `ClosedLoop.columns` (SI), such as `front.y` and `front_le.N`.
-        ended (str): Why the run ended, in one sentence.
-        failed (bool): Whether it ended by derailment or by a number that is not finite.
+        ended, failed (str, bool): Why the run ended; whether by derailment or by a number that is not finite.
         warnings (tuple of str): Sentences that say where the run first left the range in which a model is valid.
         controllers (tuple): Slower lateral controllers of both gears, such as MPC, whose attribute `fallbacks` counts
             samples without solution; () for a 1 kHz law.
@@ -55,7 +51,7 @@ class Run:
     controllers: tuple = ()
     memory: dict[str, float] = field(default_factory=dict, repr=False)
 
-    def plot(self, *panels: str, gear: str = "front") -> Figure:
+    def plot(self, *panels: str, gear: str = "front") -> "Figure":
         """Draw the run over the track coordinate (m) in a new figure, set points dotted. Needs the package matplotlib.
         `panels` are keys of `railrepro.simulation.plot.PANELS`, one per row: "y", "error", "du", "torques", "adhesion",
         "slip", "speed", …; `gear` is "front" or "rear"."""
@@ -98,9 +94,8 @@ def run(
         route (Route): Route of the run; default `scenario.route(irregularities, line)`.
         substeps (int): Integration steps of the car per millisecond, see `SteppedCar`.
 
-    Raises:
-        InputError: An argument has a wrong type or value, or a vehicle lacks an adhesion set of the scenario.
-        ArithmeticError: A slower lateral controller returned no finite number.
+    InputError if an argument has a wrong type or value, or a vehicle lacks an adhesion set of the scenario;
+    ArithmeticError if a slower lateral controller returns no finite number.
     """
     vehicle = load_vehicle() if vehicle is None else vehicle
     body = vehicle if plant_vehicle is None else plant_vehicle
@@ -133,9 +128,9 @@ def start(
     """Couple car and 1 kHz law for a scenario. The car starts in vertical equilibrium at the initial speed. The
     arguments are as in `run`; `settings` are its `adhesion`, `fixed_share`, `sensors` and `substeps`."""
     substeps = settings.pop("substeps", 1)
-    settings |= {"lateral_limit": DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
+    settings |= {"lateral_limit": component.DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
     control = law.control_law(vehicle, guidance, **settings)
-    car = SteppedCar(route, scenario.speed, plant_vehicle, scenario.good, scenario.poor, substeps=substeps)
+    car = component.SteppedCar(route, scenario.speed, plant_vehicle, scenario.good, scenario.poor, substeps=substeps)
     return ClosedLoop(car, control)
 
 

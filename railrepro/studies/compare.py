@@ -1,7 +1,5 @@
 """Runs of several controllers side by side: simulate, tabulate and draw them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from itertools import product
@@ -37,11 +35,9 @@ _OF_SCENARIO = {field.name for field in fields(Scenario)}
 class Comparison:
     """Metrics and series of several runs, with tables and figures of them; made by `compare`.
 
-    Attributes:
-        rows (DataFrame): One row per run: its labels and its metrics in SI units, see `Experiment.values`.
-        series (DataFrame): Time series of the front running gear of all runs below each other (`metrics.gear_series`),
-            with the labels and the controller of each run as further columns.
-        labels (tuple of str): Names of the columns by which the runs differ, as ("speed_kmh", "controller").
+    `rows` has one row per run: its labels and its metrics in SI units, see `Experiment.values`. `series` has the time
+    series of the front running gear of all runs below each other (`metrics.gear_series`), with labels and controller.
+    `labels` are the names of the columns by which the runs differ, as ("speed_kmh", "controller").
     """
 
     rows: pd.DataFrame
@@ -72,11 +68,9 @@ class Comparison:
     def plot(self, *panels: str, columns: str = "", height: float = 1.3, more: int = 0) -> Figure:
         """Draw panels below each other over the track coordinate (m); returns the figure, which is not saved.
 
-        Args:
-            panels (str): Keys of `simulation.plot.PANELS`, one per row; "y" and "error" if there are none.
-            columns (str): Label, as "car", whose values have a column of panels each; "" for one column.
-            height (float): Height of a row (in).
-            more (int): Number of empty rows below, for other diagrams.
+        `panels` are keys of `simulation.plot.PANELS`, one per row of `height` (in); "y" and "error" if there are none.
+        `columns` is a label, as "car", whose values have a column of panels each; "" for one column. `more` is the
+        number of empty rows below, for other diagrams.
         """
         names = panels or ("y", "error")
         chosen, shown = plot.chosen(names), self.rows[columns].unique() if columns else [""]

@@ -5,8 +5,6 @@ run only while it waits, because two threads must not use CasADi's objects at a 
 number of processes or the cluster, because random seeds belong to the task.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import re
@@ -31,10 +29,8 @@ _OTHER_CODE = (
     "a process of the study imported other code of railrepro than the one that sends the runs, because it was edited "
     "meanwhile or another machine has another version; restart (in Jupyter the kernel) and run again to resume"
 )
-_FEW = 4
-"""Largest number of tasks for which no processes are started: that would take longer than the tasks."""
-_around = threading.local()
-"""Has the attribute `pool`, an executor, in the threads of `ordered_map`."""
+_FEW = 4  # Largest number of tasks for which no processes are started: that would take longer than the tasks
+_around = threading.local()  # Has the attribute `pool`, an executor, in the threads of `ordered_map`
 _turn = threading.Lock()
 """Held by the thread of `ordered_map` that runs: reference counts of CasADi's objects are not atomic."""
 

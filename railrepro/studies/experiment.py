@@ -1,7 +1,5 @@
 """Experiments: a scenario and a controller with changes of both, from which a run and its metrics are computed."""
 
-from __future__ import annotations
-
 import inspect
 import json
 import pickle
@@ -104,7 +102,7 @@ class Experiment:
             fixed_share=self.fixed_share,
         )
 
-    def _surroundings(self) -> Surroundings:
+    def _surroundings(self) -> "Surroundings":
         """`Surroundings` of the run, made once for all runs with equal fields and unchanged files."""
         files = [*map(paths.source, _FILES), Path(self.scenario.track_file())]
         try:
@@ -113,7 +111,7 @@ class Experiment:
             return _made(self)
         return _shared(packed, tuple((str(file), code.signature(file)) for file in files))
 
-    def key(self, measure: Measure) -> str | None:
+    def key(self, measure: "Measure") -> str | None:
         """Hash under which `store` has the result of `measure` for this run, see `measured`.
 
         It depends on the code and on all values of vehicle, tuning parameters, track and sensors, not on names and
@@ -126,7 +124,7 @@ class Experiment:
         others |= {"parameters": self.tuned()}
         return around and store.key(measure.__module__, measure.__qualname__, around, others)
 
-    def measured(self, measure: Measure) -> store.Entry:
+    def measured(self, measure: "Measure") -> store.Entry:
         """Return `measure(run, experiment)` for this run, read from the store or simulated by `executor.work`.
 
         `measure` is a function of a module, which must not use the `label`. It returns a pair: a dict of plain values,

@@ -1,7 +1,5 @@
 """A controller's knowledge of the irregularities ahead, and the line that it plans with it (the paper's outlook)."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pandas as pd
@@ -38,16 +36,11 @@ def plan(
     It minimises sum (y - share lateral)^2 + smoothing_m^4 sum (y'')^2 subject to |y - lateral| <= limit + gauge / 2 at
     every row, and begins and ends on the ideal line. InputError if no line does.
 
-    Args:
-        frame (DataFrame): True irregularities (`rough_track`): p_m, lateral_m, gauge_m; they end within the limit.
-        share (float): 0 follows the ideal line, 1 the middle between the rails.
-        smoothing_m (float): Length over which the line is smoothed (m); 0 for none.
-        limit (float): Lateral play of a wheel pair to either side between rails of nominal gauge (m).
-        amplitude_error, localisation_error_m (float): Errors of the controller's knowledge, see `known`.
-
-    Returns:
-        p (ndarray, shape (n,)): Track coordinates (m).
-        line (ndarray, shape (4, n)): Set point (m) and its first three derivatives (1, 1/m, 1/m^2) at p (cubic spline).
+    `frame` has the true irregularities (`rough_track`): p_m, lateral_m, gauge_m; they end within the limit. A `share`
+    of 0 follows the ideal line, 1 the middle between the rails. The line is smoothed over `smoothing_m` (m); 0 for
+    none. `limit` is the lateral play of a wheel pair to either side between rails of nominal gauge (m). The other
+    arguments are errors of the controller's knowledge, see `known`. Returns track coordinates p (m), shape (n,), and
+    set point (m) with its first three derivatives (1, 1/m, 1/m^2) at p (cubic spline), shape (4, n).
     """
     frame = known(frame, amplitude_error, localisation_error_m)
     require("planned line: share", share, between(0.0, 1.0))

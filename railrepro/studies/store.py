@@ -5,8 +5,6 @@ compiler and the packages. An entry is a file of two lines: a hash of key and co
 that does not fit its hash is computed anew.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -87,11 +85,8 @@ def machine() -> dict[str, str]:
 
 def folder() -> Path | None:
     """Folder of the stored results: RAILREPRO_STORE, else build/store, or the user's cache where that cannot be
-    written.
-
-    None, so that nothing is read or stored, if the variable is "off" or no folder can be written. InputError if it is
-    no absolute path.
-    """
+    written. None, so that nothing is read or stored, if the variable is "off" or no folder can be written. InputError
+    if it is no absolute path."""
     given = os.environ.get(FOLDER, "")
     if given == "off":
         return None

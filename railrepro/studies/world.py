@@ -1,7 +1,5 @@
 """A car with its controllers and their sensors: what all runs of one comparison have in common."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -15,12 +13,8 @@ from railrepro.vehicle.parameters import Vehicle, load_vehicle
 class World:
     """Car, controllers and sensors from which `experiment` makes runs.
 
-    Attributes:
-        parameters (dict): Controller -> its tuning parameters by name.
-        setting (str): Setting of comparison that `parameters` belong to, one of `registry.SETTINGS`.
-        vehicle (dict): Changed vehicle parameters, dotted key -> value (SI), known to car and controllers.
-        plant (dict): Changed parameters of the simulated car that its controllers do not know; keys as in `vehicle`.
-        sensors (dict): Arguments of `estimation.sensors.readings`; empty gives the controllers the true signals.
+    `parameters` maps a controller to its tuning parameters by name, which belong to `setting`, one of
+    `registry.SETTINGS`. `vehicle`, `plant` and `sensors` are as in `Experiment`.
     """
 
     parameters: dict[str, dict]

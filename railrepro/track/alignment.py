@@ -1,8 +1,6 @@
 """Track alignments, and the entries of data/tracks.toml that describe them. Serves the paper's section Test Tracks
 (Table I)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +8,6 @@ from typing import Annotated, Any
 
 from railrepro import data, paths
 from railrepro.data import Number, above, between
-from railrepro.paths import Entries
 
 GRAVITY = 9.81  # m/s2
 CANT_BASE = 1.5  # base b of the superelevation b sin(phi) (m): the only standard value that reproduces Table I
@@ -108,7 +105,7 @@ class SegmentsEntry:
         return Alignment(name, tuple(made))
 
 
-def alignments(path: Path | str | None = None) -> Entries[Alignment]:
+def alignments(path: Path | str | None = None) -> paths.Entries[Alignment]:
     """Read all tracks of a TOML file, default data/tracks.toml. InputError for a wrong entry."""
     file = data.location(path, paths.source("data/tracks.toml"))
     tracks = {}
@@ -116,4 +113,4 @@ def alignments(path: Path | str | None = None) -> Entries[Alignment]:
         piecewise = isinstance(content, dict) and "segments" in content
         kind: Any = dict[str, SegmentsEntry] if piecewise else dict[str, CurveEntry]
         tracks[name] = data.build(kind, {name: content}, file.name)[name].alignment(name)
-    return Entries(tracks, "data/tracks.toml")
+    return paths.Entries(tracks, "data/tracks.toml")

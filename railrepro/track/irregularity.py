@@ -1,8 +1,6 @@
 """Track irregularities: spectra, random realisations, and the check of frames of irregularities. The columns of a frame
 are p_m and those of `CHANNELS`: alignment of the track centre, longitudinal level, cross level, gauge."""
 
-from __future__ import annotations
-
 import math
 import reprlib
 from typing import Annotated, Any, Literal
@@ -12,7 +10,6 @@ import pandas as pd
 import scipy
 
 from railrepro import data, paths
-from railrepro.data import InputError, Number, above, between, require
 
 CHANNELS = {"lateral": "lateral_m", "vertical": "vertical_m", "crosslevel": "crosslevel_rad", "gauge": "gauge_m"}
 """Channel -> column of a frame, in the order of their random generators."""
@@ -27,7 +24,7 @@ _ERRI = {  # amplitudes (m rad)
 }
 _C, _R, _S = 0.8246, 0.0206, 0.4380  # corner wavenumbers (rad/m)
 HALF_BASE = 0.75  # half the distance between the rails, to which a cross level refers (m)
-SEED = between(0, 2**63)
+SEED = data.between(0, 2**63)
 
 
 @data.table
@@ -35,8 +32,8 @@ class Quality:
     """Track quality, an entry of data/irregularities.toml: standard deviations (mm) of longitudinal level and alignment
     of one rail at wavelengths of 3 to 25 m. `confidence` is VV reproduced, V read, D derived, R recalled, A assumed."""
 
-    level_mm: Annotated[Number, above(0.05, 20.0, "mm")]
-    alignment_mm: Annotated[Number, above(0.05, 20.0, "mm")]
+    level_mm: Annotated[data.Number, data.above(0.05, 20.0, "mm")]
+    alignment_mm: Annotated[data.Number, data.above(0.05, 20.0, "mm")]
     confidence: Literal["VV", "V", "D", "R", "A"]
 
 
@@ -47,15 +44,12 @@ def irregularity_spectrum(spectrum: str, channel: str, wavenumber: np.ndarray) -
     The gauge spectrum has the form of the cross-level spectrum; its amplitude is recalled from German high-speed
     spectra (confidence R). Source: ERRI B176.
 
-    Args:
-        spectrum (str): "erri_low", "erri_high", or an entry of data/irregularities.toml such as "en_B_300". An entry
-            scales "erri_low" to its standard deviations: "vertical" and "crosslevel" by one factor, "lateral" and
-            "gauge" by another.
-        channel (str): "lateral", "vertical", "gauge" (m^2/(rad/m)) or "crosslevel" (rad^2/(rad/m)).
-        wavenumber (ndarray): Angular wavenumber (rad/m).
+    `spectrum` is "erri_low", "erri_high", or an entry of data/irregularities.toml such as "en_B_300". An entry scales
+    "erri_low" to its standard deviations: "vertical" and "crosslevel" by one factor, "lateral" and "gauge" by another.
+    `channel` is "lateral", "vertical", "gauge" (m^2/(rad/m)) or "crosslevel" (rad^2/(rad/m)); `wavenumber` is angular.
     """
     if channel not in CHANNELS:
-        raise InputError(f"channel {channel!r} is not known; there are {[*CHANNELS]}")
+        raise data.InputError(f"channel {channel!r} is not known; there are {[*CHANNELS]}")
     return _density(_amplitudes(spectrum), channel, wavenumber)
 
 
@@ -76,7 +70,7 @@ def _amplitudes(spectrum: str) -> dict[str, float]:
     if spectrum in tuple(_ERRI):
         return _ERRI[spectrum]
     if spectrum not in tuple(classes):
-        raise InputError(f"spectrum {spectrum!r} is not known; there are {sorted(_ERRI)} and {sorted(classes)}")
+        raise data.InputError(f"spectrum {spectrum!r} is not known; there are {sorted(_ERRI)} and {sorted(classes)}")
     wanted, low = classes[spectrum], _ERRI["erri_low"]
     wavenumber = np.linspace(2 * np.pi / D1[1], 2 * np.pi / D1[0], 2000)
     density = {channel: _density(low, channel, wavenumber) for channel in CHANNELS}
@@ -92,7 +86,7 @@ def track_quality() -> dict[str, Quality]:
     file = paths.source("data/irregularities.toml")
     classes = data.build(dict[str, Quality], data.read(file), file.name)
     for name in _ERRI.keys() & classes.keys():
-        raise InputError(f"{file.name}: {name} is a built-in spectrum, another name is needed")
+        raise data.InputError(f"{file.name}: {name} is a built-in spectrum, another name is needed")
     return classes
 
 
@@ -105,12 +99,10 @@ def irregularities(p: np.ndarray, spectrum: str = "erri_low", seed: int = 1) -> 
     same irregularities at the same p. Source: Shinozuka and Deodatis 1991, Applied Mechanics Reviews 44, 191 (spectral
     representation by FFT).
 
-    Args:
-        p (ndarray, shape (n,)): Track coordinates (m), increasing by steps of up to 1.5 m.
-        spectrum (str): As in `irregularity_spectrum`.
-        seed (int): Seed of the random phases, 0 to 2^63.
+    The track coordinates p (m), shape (n,), increase by steps of up to 1.5 m. `spectrum` is as in
+    `irregularity_spectrum`; `seed`, 0 to 2^63, draws the phases.
     """
-    require("irregularities: seed", seed, SEED, whole=True)
+    data.require("irregularities: seed", seed, SEED, whole=True)
     p = coordinates("irregularities", p, SHORTEST / 2)
     period = 2.0 ** math.ceil(math.log2(max(p[-1] - p[0], 32 * LONGEST)))
     # A quintic spline through at least sixteen points per wave has an error of 1e-7 of its amplitude.
@@ -134,11 +126,11 @@ def irregularities(p: np.ndarray, spectrum: str = "erri_low", seed: int = 1) -> 
 def check(frame: pd.DataFrame) -> None:
     """Raise InputError unless a frame has p_m, which increases, and the columns of `CHANNELS` within their ranges:
     lateral_m +-0.02 m, gauge_m -0.01 to 0.035 m, vertical_m +-0.1 m, crosslevel_rad +-0.1 rad."""
-    require("irregularities", frame, pd.DataFrame)
+    data.require("irregularities", frame, pd.DataFrame)
     for column in sorted({"p_m", *CHANNELS.values()} - set(frame)):
-        raise InputError(f"irregularities lack the column {column}, needed are p_m and {[*CHANNELS.values()]}")
+        raise data.InputError(f"irregularities lack the column {column}, needed are p_m and {[*CHANNELS.values()]}")
     if not frame.columns.is_unique:
-        raise InputError(f"irregularities have the column {frame.columns[frame.columns.duplicated()][0]!r} twice")
+        raise data.InputError(f"irregularities have the column {frame.columns[frame.columns.duplicated()][0]!r} twice")
     p = coordinates("irregularities", frame["p_m"])
     numbers = frame[[*_RANGES]].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
     require_within("irregularities", p, dict(zip(_RANGES, numbers.T, strict=True)), _RANGES)
@@ -150,7 +142,7 @@ def require_within(what: str, p: np.ndarray, columns: dict[str, np.ndarray], ran
     for name, (low, high) in ranges.items():
         for row in np.flatnonzero(~((columns[name] >= low) & (columns[name] <= high)))[:1]:
             found = f"{name} at p = {p[row]} m is {columns[name][row]}"
-            raise InputError(f"{what}: {found}, a number from {low:g} to {high:g} is needed (unit?)")
+            raise data.InputError(f"{what}: {found}, a number from {low:g} to {high:g} is needed (unit?)")
 
 
 def coordinates(what: str, p: Any, longest: float = math.inf) -> np.ndarray:
@@ -164,7 +156,7 @@ def coordinates(what: str, p: Any, longest: float = math.inf) -> np.ndarray:
     if steps.size == 0 or not ((steps > 0) & (steps <= longest) & (steps < math.inf)).all():
         steps_allowed = f" by up to {longest:g} m" if longest < math.inf else ""
         needed = f"a list of two or more finite track coordinates (m) that increase{steps_allowed} is needed"
-        raise InputError(f"{what}: p is {reprlib.repr(p)}, {needed}")
+        raise data.InputError(f"{what}: p is {reprlib.repr(p)}, {needed}")
     return found
 
 

@@ -1,8 +1,6 @@
 """Random irregularities with local defects. Both are frames of irregularities, see `railrepro.track.irregularity`.
 Serves the paper's outlook (known lateral track irregularities)."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import numpy as np
@@ -10,12 +8,11 @@ import pandas as pd
 from pydantic import Field
 
 from railrepro import data
-from railrepro.data import InputError, Number, above, between
 from railrepro.track.irregularity import HALF_BASE, LARGEST, SEED, irregularities, smooth_step
 
-_START = Annotated[Number, between(-1e6, 1e6, "m")]
-_LENGTH = Annotated[Number, above(0.0, 1e6, "m")]
-_HEIGHT = Annotated[Number, between(-LARGEST, LARGEST, "m")]
+_START = Annotated[data.Number, data.between(-1e6, 1e6, "m")]
+_LENGTH = Annotated[data.Number, data.above(0.0, 1e6, "m")]
+_HEIGHT = Annotated[data.Number, data.between(-LARGEST, LARGEST, "m")]
 
 
 @data.table
@@ -99,7 +96,7 @@ def rough_track(p: np.ndarray, **arguments) -> pd.DataFrame:
         end, least = defect.start + defect.length, 4 * np.diff(p).max()
         if not p[0] <= defect.start < end <= p[-1] or getattr(defect, "transition", defect.length) < least:
             needed = f"a stretch within {p[0]:g} to {p[-1]:g} m with parts of at least {least:g} m is needed"
-            raise InputError(f"{defect.kind}: {defect.start:g} to {end:g} m, {needed}")
+            raise data.InputError(f"{defect.kind}: {defect.start:g} to {end:g} m, {needed}")
         for column, change in defect.channels(p).items():
             total[column] += change
     return total

@@ -6,8 +6,6 @@ Irregularities have no kinks between cells, which would excite the contact sprin
 cells (paper eq. (3), theta and y*).
 """
 
-from __future__ import annotations
-
 import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass

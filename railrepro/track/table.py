@@ -1,8 +1,6 @@
 """Tables of tracks, made from alignments or read from CSV, and the track that interpolates in them. Yaw psi is positive
 to the right, roll phi right side down, pitch eps nose up. Serves the paper's section Train-Track Interaction."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import warnings

@@ -1,7 +1,5 @@
 """Cost of a parameter set: the mean over the runs of a tuning task."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

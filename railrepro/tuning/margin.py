@@ -1,7 +1,5 @@
 """Stability margin of a controller, from the sensitivity that is measured in the loop itself, without linearisation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import casadi as ca

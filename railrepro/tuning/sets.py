@@ -1,7 +1,5 @@
 """Tuned sets of data/tuned: the parameters that the swarms found, with all particles that they evaluated."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Source: Kennedy and Eberhart 1995; constriction factor after Clerc and Kennedy 2002 (chi = 0.7298, c1 = c2 = 2.05).
 """
 
-from __future__ import annotations
-
 import math
 import numbers
 import reprlib

@@ -1,7 +1,5 @@
 """Tuning tasks of data/tuning.toml: runs, cost, budget and searched parameters for each setting of comparison."""
 
-from __future__ import annotations
-
 import reprlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Tuning of a controller in a setting of comparison: by particle swarms, one per seed, or by the rule of poles."""
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from functools import partial
 

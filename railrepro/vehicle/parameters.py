@@ -1,8 +1,6 @@
 """Parameters of the vehicle as frozen, checked dataclasses; their values are in data/vehicle.toml. Serves the paper's
 sections Control-Oriented Model and Simulation Environment, which print no values."""
 
-from __future__ import annotations
-
 import math
 import reprlib
 import warnings
@@ -15,7 +13,6 @@ from pydantic import AfterValidator, Field
 from pydantic_core import core_schema
 
 from railrepro import data, paths
-from railrepro.data import InputError
 
 
 @data.table
@@ -178,16 +175,10 @@ class Drive:
 
 @data.table
 class WheelRail:
-    """Contact of wheel and rail.
-
-    Attributes:
-        young, shear_modulus, poisson: Moduli (Pa) and Poisson's ratio (-) of the material.
-        nominal_load: Normal force for which contact ellipses are tabulated (N).
-        normal_stiffness, normal_damping: k (N/m^1.5) and d (s/m) in the normal force k q^1.5 (1 + d dq/dt) at a
-            penetration q.
-        rest_speed: Speed (m/s) in creepage = sliding speed / sqrt(v^2 + rest_speed^2), which is finite at standstill.
-        profile: Wheel profile, "cone" or "s1002".
-    """
+    """Contact of wheels with a `profile`, "cone" or "s1002", and rails of one material with two moduli (Pa) and
+    Poisson's ratio (-). Contact ellipses are tabulated for the normal force `nominal_load` (N). At a penetration q the
+    normal force is k q^1.5 (1 + d dq/dt) with k = `normal_stiffness` (N/m^1.5), d = `normal_damping` (s/m). Creepage is
+    sliding speed / sqrt(v^2 + rest_speed^2), which is finite at standstill (speeds in m/s)."""
 
     young: Annotated[float, Parameter(1e9, 1e12, "Pa")]
     poisson: Annotated[float, Parameter(0.0, 0.5, "-", closed=True)]
@@ -201,14 +192,10 @@ class WheelRail:
 
 @data.table
 class AdhesionSet:
-    """Adhesion set: parameters of Polach's creep law for one state of the rail.
-
-    Attributes:
-        k_a, k_s: Reduction factors in the areas of adhesion and of slip (-); a k_s above k_a counts as k_a. The creep
-            stiffness at zero creepage is (k_a + k_s)/2 times Kalker's.
-        mu0, a_ratio, b_decay: The friction coefficient is mu0 ((1 - a_ratio) exp(-b_decay w) + a_ratio) at a slip speed
-            w (m/s).
-    """
+    """Adhesion set: parameters of Polach's creep law for one state of the rail. The reduction factors k_a in the area
+    of adhesion and k_s in that of slip (-) make the creep stiffness at zero creepage (k_a + k_s)/2 times Kalker's; a
+    k_s above k_a counts as k_a. The friction coefficient is mu0 ((1 - a_ratio) exp(-b_decay w) + a_ratio) at a slip
+    speed w (m/s)."""
 
     k_a: Annotated[float, Parameter(0.0, 1.0, "-")]
     k_s: Annotated[float, Parameter(0.0, 1.0, "-")]
@@ -283,13 +270,9 @@ class Vehicle:
 
 
 def load_vehicle(path: Path | str | None = None, **overrides) -> Vehicle:
-    """Read and check the parameters of a vehicle. InputError for a wrong file, key or value.
-
-    Args:
-        path (path, optional): TOML file like data/vehicle.toml, the default.
-        overrides: Values (SI) that replace those of the file, by dotted key, as in `load_vehicle(**{"wheel.radius":
-            0.43, "adhesion.poor.mu0": 0.12})`.
-    """
+    """Read and check the parameters of a vehicle in a TOML file, by default data/vehicle.toml. InputError for a wrong
+    file, key or value. `overrides` replace values of the file (SI) by dotted key, as in
+    `load_vehicle(**{"wheel.radius": 0.43, "adhesion.poor.mu0": 0.12})`."""
     vehicle = loaded(Vehicle, data.location(path, paths.source("data/vehicle.toml")), overrides)[0]
     if "wheel.cone_angle" in overrides and vehicle.contact.profile != "cone":
         reason = f"the wheels of the car have the profile {vehicle.contact.profile}"
@@ -305,7 +288,7 @@ def loaded(kind: type, file: Path, overrides: dict) -> tuple[Any, dict[str, dict
     entries = dict(_entries(content))
     for key, value in overrides.items():
         if key not in entries:
-            raise InputError(f"override {key!r} is not a key of {file.name}; there are {', '.join(entries)}")
+            raise data.InputError(f"override {key!r} is not a key of {file.name}; there are {', '.join(entries)}")
         entries[key].update(value=value, range="fixed")
     return data.build(kind, content, file.name), entries
 

@@ -1,15 +1,12 @@
 """The optimal control problem as a nonlinear program for Ipopt, the reference of the other solvers. Serves the paper's
 section Nonlinear Model Predictive Control."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 
 from railrepro.control import problem
-from railrepro.control.problem import TUNING, Tuning
 from railrepro.control.solvers.riccati import Horizon
 from railrepro.model.control_model import STATES, THETA
 from railrepro.model.parameters import PARAMETERS
@@ -33,8 +30,8 @@ def program(variant: str, discretisation: str, steps: int) -> dict[str, ca.MX]:
     step = problem.dynamics(variant, discretisation)
     z, du, slack = ca.MX.sym("z", _N, steps + 1), ca.MX.sym("du", steps), ca.MX.sym("slack", steps)
     x_d, theta = ca.MX.sym("x_d", _N, steps + 1), ca.MX.sym("theta", len(THETA), steps)
-    par, tuning, u_d = ca.MX.sym("par", len(PARAMETERS)), ca.MX.sym("tuning", len(TUNING)), ca.MX.sym("u_d")
-    t, states = Tuning.of(tuning), x_d + ca.repmat(ca.DM(SCALE), 1, steps + 1) * z
+    par, tuning, u_d = ca.MX.sym("par", len(PARAMETERS)), ca.MX.sym("tuning", len(problem.TUNING)), ca.MX.sym("u_d")
+    t, states = problem.Tuning.of(tuning), x_d + ca.repmat(ca.DM(SCALE), 1, steps + 1) * z
     cost, defects, sides = ca.MX(0), [], []
     for k in range(steps):
         x, x_plus, torque = states[:, k], states[:, k + 1], UNIT * du[k]

@@ -2,13 +2,10 @@
 `railrepro.control.problem`; their derivatives are halved. Serves the paper's section Nonlinear Model Predictive
 Control. Source: Rao, Wright and Rawlings 1998."""
 
-from __future__ import annotations
-
 import casadi as ca
 
 from railrepro.compile.codegen import stored
 from railrepro.control import problem
-from railrepro.control.problem import TUNING, Tuning
 from railrepro.model.control_model import STATES, Y
 
 
@@ -42,8 +39,8 @@ def recursion(variant: str, discretisation: str) -> tuple[ca.Function, ca.Functi
     vector, b, feedback, terms = ca.SX.sym("p", n), ca.SX.sym("b", n), ca.SX.sym("feedback", n), ca.SX.sym("terms", 4)
     u, fixed, to_bound, side, feedforward = ca.vertsplit(ca.SX.sym("scalars", 5))
     matrix, a = ca.SX.sym("P", n, n), ca.SX.sym("A", problem.dynamics(variant, discretisation).sparsity_out(1))
-    tuning = ca.SX.sym("tuning", len(TUNING))
-    t, of_state = Tuning.of(tuning), [x, x_d, side, terms, tuning]
+    tuning = ca.SX.sym("tuning", len(problem.TUNING))
+    t, of_state = problem.Tuning.of(tuning), [x, x_d, side, terms, tuning]
 
     def state_cost(cost):
         hessian, gradient = _halved(cost(x, x_d, problem.slack_on(side, x, t), t), x)

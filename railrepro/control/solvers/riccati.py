@@ -5,8 +5,6 @@ method on the same recursion takes over, which limits the time of a sample. Sour
 (recursion, interior points); Mehrotra 1992 (their steps); Hintermueller, Ito and Kunisch 2002 (active sets).
 """
 
-from __future__ import annotations
-
 import ctypes
 from functools import lru_cache
 from pathlib import Path

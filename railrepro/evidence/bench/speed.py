@@ -3,8 +3,6 @@
 Serves the paper's section Evaluation of Lateral Control (computation times).
 """
 
-from __future__ import annotations
-
 import platform
 import time
 from collections.abc import Sequence

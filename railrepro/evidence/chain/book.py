@@ -1,14 +1,11 @@
 """The book in build/html: executed notebooks, the pages of notebooks/book and the report, made by Sphinx."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
 from pathlib import Path
 
 from railrepro import data, paths
-from railrepro.data import InputError, write
 from railrepro.evidence.chain.chain import Notebook, chain, figures
 from railrepro.figures import figure_number
 
@@ -23,21 +20,21 @@ def html() -> Path:
     or its packages are missing."""
     absent = [notebook.name for notebook in chain().values() if not notebook.executed.exists()]
     if absent and figures(absent):
-        raise InputError("the book needs every notebook executed, see the lines above")
+        raise data.InputError("the book needs every notebook executed, see the lines above")
     source, folder = paths.BUILD / "book", paths.BUILD / "html"
     shutil.rmtree(source, ignore_errors=True)
     shutil.copytree(paths.NOTEBOOKS / "book", source, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("data", "figures", "railrepro", "REPLICATION.md"):
         (source / name).symlink_to(paths.ROOT / name)
     for notebook in chain().values():
-        write(source / "notebooks" / f"{notebook.name}.ipynb", json.dumps(chapter(notebook)))
+        data.write(source / "notebooks" / f"{notebook.name}.ipynb", json.dumps(chapter(notebook)))
     try:
         from sphinx.cmd.build import build_main
     except ImportError as error:
-        raise InputError("the book needs the packages of the group `book`; `make html` installs them") from error
+        raise data.InputError("the book needs the packages of the group `book`; `make html` installs them") from error
     shutil.rmtree(folder, ignore_errors=True)
     if build_main(["-q", "-W", "--keep-going", "-b", "html", str(source), str(folder)]):
-        raise InputError("the book is not complete, see the lines above")
+        raise data.InputError("the book is not complete, see the lines above")
     return folder / "index.html"
 
 

@@ -4,8 +4,6 @@ notebooks/chain.toml declares what each notebook writes. What it reads is logged
 Content, never time, decides what is stale. Notebooks run in any order, because none reads a product of another one.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import logging

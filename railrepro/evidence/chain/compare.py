@@ -1,7 +1,5 @@
 """Comparison of the products of two runs: numbers of tables, pixels of images."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 
@@ -10,10 +8,9 @@ import numpy as np
 import pandas as pd
 
 from railrepro import data
-from railrepro.data import Number, between
 
 OUTCOMES = SAME, NEAR, DIFFERENT = ("same", "within tolerance", "different")
-_SHARE = Annotated[Number, between(0.0, 1.0)]
+_SHARE = Annotated[data.Number, data.between(0.0, 1.0)]
 
 
 @data.table
@@ -35,7 +32,7 @@ class Tolerance:
     (computation times) may differ by any amount."""
 
     relative: _SHARE = 0.0
-    image_rms: Annotated[Number, between(0.0, 255.0, "grey levels")] = 0.0
+    image_rms: Annotated[data.Number, data.between(0.0, 255.0, "grey levels")] = 0.0
     not_compared: tuple[str, ...] = ()
     own: tuple[Own, ...] = ()
 

@@ -4,8 +4,6 @@ data/paper_like.toml documents every choice. The car shows which choices it take
 results have a column of their own. Serves the paper's section Multi-Body Simulation Results.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,7 +14,6 @@ from pydantic import Field
 
 from railrepro import data, paths
 from railrepro.control.registry import PAPER
-from railrepro.data import InputError, write
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.probe import probe
@@ -65,12 +62,12 @@ def load(path: Path | str | None = None) -> dict[str, Choice]:
     choices, known = data.build(dict[str, Choice], data.read(file), file.name), statements.load()
     for name, choice in choices.items():
         if unknown := sorted(set(choice.statements) - set(known)):
-            raise InputError(f"{file.name}: {name}.statements has {unknown[0]!r}, which is no id of claims.toml")
+            raise data.InputError(f"{file.name}: {name}.statements has {unknown[0]!r}, which is no id of claims.toml")
     try:
         setup({name: choice.nominal for name, choice in choices.items()}).checked()
         setup(_values(choices)).checked()
-    except InputError as error:
-        raise InputError(f"{file.name}: {error}") from None
+    except data.InputError as error:
+        raise data.InputError(f"{file.name}: {error}") from None
     return choices
 
 
@@ -150,6 +147,6 @@ def main() -> None:
     moved = pd.DataFrame(rows, columns=["size", "draw", "holds", "falls"])
     tables = {"": judgements[0], "_undone": without, "_conflicts": conflicts, "_perturbed": moved}
     for name, table in tables.items():
-        write(paths.product(f"data/results/paper_like{name}.csv"), table.to_csv(index=False, float_format="%.6g"))
+        data.write(paths.product(f"data/results/paper_like{name}.csv"), table.to_csv(index=False, float_format="%.6g"))
     print(f"{len(nominal)} of {len(judgements[0])} hold; over perturbations")
     print(moved.groupby("size")["holds"].agg(["min", "mean"]))

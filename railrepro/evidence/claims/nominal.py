@@ -1,7 +1,5 @@
 """Evidence on the nominal car: the stored probes (nominal_metrics.csv) as `statements.Evidence`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 

@@ -4,8 +4,6 @@ The nominal results in each column of verdicts and the samples of the robustness
 predicates (`statements`) judge them. Serves the paper's section Multi-Body Simulation Results.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import astuple
 from itertools import pairwise, product
@@ -426,16 +424,11 @@ def deviation(series: pd.DataFrame, begin: float, end: float) -> float:
 def macro_slips(series: pd.DataFrame, peak: float, slip: float) -> dict[str, float]:
     """Count macro slips and approaches to the adhesion peak in a run of Fig. 8 from p = 240 m on.
 
-    Args:
-        series (DataFrame): Series of `metrics.gear_series`.
-        peak (float): Adhesion at the peak (-).
-        slip (float): Slip at the peak (-). A macro slip begins where the slip of a wheel exceeds this value.
-
-    Returns:
-        dict: macro_slips, number of macro slips that begin more than 0.135 s before the end; recovered, number of them
-            in which, within 0.135 s, the base torque falls by a tenth and the slip falls below `slip`; approaches, one
-            before each macro slip and one after the last; approached, number of approaches in which the adhesion
-            reaches 0.9 `peak`. A last approach shorter than 110 m counts only if it does.
+    `series` is that of `metrics.gear_series`, `peak` and `slip` are adhesion and slip at the peak (-). A macro slip
+    begins where the slip of a wheel exceeds `slip`. Returns a dict: macro_slips, number of macro slips that begin more
+    than 0.135 s before the end; recovered, number of them in which, within 0.135 s, the base torque falls by a tenth
+    and the slip falls below `slip`; approaches, one before each macro slip and one after the last; approached, number
+    of approaches in which the adhesion reaches 0.9 `peak`. A last approach shorter than 110 m counts only if it does.
     """
     rows = series[series["front.p"] >= REACHED]
     time, torque = rows["t_s"].to_numpy(), rows["front.u_d"].to_numpy()

@@ -1,21 +1,17 @@
 """Setup of a probe: car, controllers and choices for the experiments, made from values by name."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Annotated, Any
+from typing import Any, Self
 
 from railrepro.control.registry import LOOP, PAPER, PAPER_TRIO, guidance, with_r_times
-from railrepro.data import InputError, above, check_fields, require
+from railrepro.data import InputError, above, require
 from railrepro.evidence.claims.statements import BRAKE, MPC, NDI, T3
 from railrepro.simulation.scenarios import Scenario, load_scenario
 from railrepro.studies.world import World
 from railrepro.track.alignment import Alignment, alignments
 from railrepro.tuning import sets
 from railrepro.tuning.task import triple_pole
-
-_FACTOR = Annotated[float, above(0.0, 1e6)]
 
 
 @dataclass(frozen=True)
@@ -34,19 +30,20 @@ class ProbeSetup(World):
     amplitude_mm: float = 3.0
     period_start_m: float = 150.0
     period_end_m: float = 40.0
-    clothoid_factor: _FACTOR = 1.0
-    r_second: _FACTOR = 10.0
-    r_loss: _FACTOR = 1.0
-    r_brake: _FACTOR = 1.0
+    clothoid_factor: float = 1.0
+    r_second: float = 10.0
+    r_loss: float = 1.0
+    r_brake: float = 1.0
     brake_sweep: dict = field(default_factory=dict)
     ltv: str = "ltv_mpc_printed"
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        for name in ("clothoid_factor", "r_second", "r_loss", "r_brake"):
+            require(f"ProbeSetup: {name}", getattr(self, name), above(0.0, 1e6))
         if self.ltv not in (allowed := (MPC[1], "ltv_mpc")):
             raise InputError(f"ltv is {self.ltv!r}, one of {allowed} is needed")
 
-    def checked(self) -> ProbeSetup:
+    def checked(self) -> Self:
         """Return this setup; InputError if car, controllers or scenarios refuse one of its values."""
         self.car(), self.scenario(T3), self.scenario(BRAKE)
         for name, parameters in self.parameters.items():
@@ -100,8 +97,7 @@ def setup(values: Mapping[str, Any], column: str = PAPER, *, rank: int = 0, seed
         seed (int, optional): Seed of the sensors in the setting "loop". Without it, and in other settings, controllers
             get the true signals.
 
-    Raises:
-        InputError: For an unknown key or column, or a factor out of range. `ProbeSetup.checked` checks other values.
+    InputError for an unknown key or column, or a factor out of range. `ProbeSetup.checked` checks other values.
     """
     require("column", column, str)
     if column not in COLUMNS:

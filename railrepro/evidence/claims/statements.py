@@ -4,8 +4,6 @@ The function computes a number from `Evidence`. The rule in data/claims.toml has
 holds, and the reason for them. Serves the paper's section Multi-Body Simulation Results.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -62,13 +60,9 @@ class MissingEvidence(KeyError):
 
 @dataclass(frozen=True)
 class Finding:
-    """Result of a predicate, which `Statement.judge` compares with the limits of the statement.
-
-    Attributes:
-        value (float): Number to compare, in `Statement.unit`; with NaN the statement does not hold.
-        weaker (float or None): `value` for the weaker form of the statement; None if it has no weaker form.
-        tie (float): Scatter between seeds, ln(largest / smallest); within a factor exp(tie) of a limit is a tie.
-    """
+    """Result of a predicate, which `Statement.judge` compares with the limits of the statement: the number `value` in
+    `Statement.unit` (with NaN it does not hold) and `weaker`, the same for the weaker form of the statement, if any.
+    `tie` is the scatter between seeds, ln(largest / smallest); within a factor exp(tie) of a limit is a tie."""
 
     value: float
     weaker: float | None = None
@@ -79,11 +73,9 @@ class Finding:
 class Evidence:
     """Metrics of runs and tables of results from which the predicates judge the statements.
 
-    Attributes:
-        metrics (mapping): `Key` -> value (SI); the metric `failed` of a failed run is 1.
-        spread (mapping): `Key` -> scatter between seeds, ln(largest / smallest).
-        tables (callable or None): Name of a table of data/results -> its DataFrame, or None if it is missing.
-        setting (str): Setting of comparison (`registry.SETTINGS`) of metrics and tables; "" for tables without one.
+    `metrics` has values (SI); the metric `failed` of a failed run is 1. `spread` has the scatter between seeds,
+    ln(largest / smallest). `tables` returns a table of data/results by its name, None if it is missing. `setting` is
+    the setting of comparison (`registry.SETTINGS`) of metrics and tables; "" for tables without one.
     """
 
     metrics: Mapping[Key, float]

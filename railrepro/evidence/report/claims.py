@@ -4,22 +4,19 @@ data/claims.toml has the rules, `railrepro.evidence.claims.statements` a predica
 the accepted verdicts, data/theses.toml the reasons why a statement fails.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 
 from railrepro.control.registry import PAPER
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal
-from railrepro.evidence.claims.statements import NOT, PARTLY, REPRODUCED, TIE, UNTESTABLE
 from railrepro.evidence.uncertainty.robustness import shares
 
 FILE = "data/results/claims.csv"
 HEADLINE = PAPER
 """Setting of the headline verdicts."""
 FRAGILE, NO_VERDICT = "fragile", "no verdict"
-_CONTRACT = {FRAGILE: PARTLY, TIE: NOT}
+_CONTRACT = {FRAGILE: statements.PARTLY, statements.TIE: statements.NOT}
 """Verdicts of the column `judged` that the column `verdict` of claims.csv does not have -> the ones it has."""
 
 
@@ -43,8 +40,8 @@ def evaluate(nominal: Nominal) -> pd.DataFrame:
         for setting in [one for one in nominal.settings() if identity in findings[one]] or [""]:
             finding = findings[setting].get(identity)
             sampled = robust.reindex([(identity, setting)]).iloc[0]
-            judged = UNTESTABLE if finding is None else rule.judge(finding)
-            if judged == REPRODUCED and sampled["low"] <= 0.5:
+            judged = statements.UNTESTABLE if finding is None else rule.judge(finding)
+            if judged == statements.REPRODUCED and sampled["low"] <= 0.5:
                 judged = FRAGILE
             row = {"id": identity, "paper_ref": rule.section, "statement": rule.statement, "kind": rule.kind}
             row |= {"setting": setting, "paper_value": np.nan if rule.paper is None else rule.paper}
@@ -63,4 +60,4 @@ def headline(rows: pd.DataFrame) -> str:
     if set(rows["kind"]) != {"statement"}:
         return NO_VERDICT
     counts = rows[rows["setting"].isin(("", HEADLINE))]["judged"]
-    return str(counts.iloc[0]) if len(counts) else UNTESTABLE
+    return str(counts.iloc[0]) if len(counts) else statements.UNTESTABLE

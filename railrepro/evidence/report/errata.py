@@ -1,7 +1,5 @@
 """Effect of each error in the paper's printed equations (D1 to D10) in closed loop, with the others corrected."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import product
 
@@ -12,8 +10,7 @@ from railrepro.simulation.scenarios import Scenario
 from railrepro.studies.experiment import Experiment, run_all
 
 _COLUMNS = dict.fromkeys(("scenario", "controller", "variant", "warnings"), str) | {"rmse_y": float, "effort_du": float}
-_TRIPLED = 2
-"""Relative change of the RMSE above which a run counts as lost."""
+_TRIPLED = 2  # Relative change of the RMSE above which a run counts as lost
 
 
 def model_variants(scenarios: Sequence[Scenario], variants: Sequence[str]) -> pd.DataFrame:

@@ -3,8 +3,6 @@
 FILE.toml is a filled copy of data/answers.toml. Answers change the setup of the probe (`claims.probe`) in `paper`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle
 from pathlib import Path
@@ -14,11 +12,9 @@ import pandas as pd
 
 from railrepro import data, paths
 from railrepro.control.registry import PAPER
-from railrepro.data import InputError
 from railrepro.evidence.claims import probe, statements
 from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.setup import ProbeSetup, setup
-from railrepro.evidence.claims.statements import Evidence
 
 
 @data.table
@@ -48,8 +44,8 @@ def load(path: Path | str | None = None) -> dict[str, Question]:
     for name in [name for name, question in questions.items() if question.answer]:
         try:
             _setup([questions[name]])
-        except InputError as error:
-            raise InputError(f"{file.name}: {name}: {error}") from None
+        except data.InputError as error:
+            raise data.InputError(f"{file.name}: {name}: {error}") from None
     return questions
 
 
@@ -73,7 +69,7 @@ def flips(answered: Mapping[str, Question]) -> pd.DataFrame:
     stated = {key.partition(":")[0] for question in answered.values() for key in question.sets}
     spread = {key: value for key, value in known.spread.items() if key[1] not in stated}
     before = statements.findings(known)
-    after = statements.findings(Evidence(metrics | rows, spread))
+    after = statements.findings(statements.Evidence(metrics | rows, spread))
     found = []
     for identity, rule in statements.load().items():
         if identity in before and identity in after:
@@ -89,7 +85,7 @@ def main(settings: Sequence[str] = ()) -> None:
         return
     answered = {name: question for name, question in load(settings[0]).items() if question.answer}
     if not answered:
-        raise InputError(f"{Path(settings[0]).name}: has no answer")
+        raise data.InputError(f"{Path(settings[0]).name}: has no answer")
     verdicts = flips(answered)
     flipped = verdicts[verdicts["before"] != verdicts["after"]]
     print(f"{len(answered)} answers, {len(verdicts)} statements judged again, {len(flipped)} verdicts flip:")

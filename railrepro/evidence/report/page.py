@@ -5,8 +5,6 @@ data/theses.toml has sentences with the conditions under which they are true. A 
 public members of `Page` and the names that its constructor adds.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from typing import Annotated, Literal
@@ -21,7 +19,6 @@ from railrepro.data import write
 from railrepro.evidence.claims import calibrated, statements
 from railrepro.evidence.claims.nominal import METRICS, Nominal
 from railrepro.evidence.claims.setup import COLUMNS
-from railrepro.evidence.claims.statements import REPRODUCED, Finding, MissingEvidence
 from railrepro.evidence.report import claims, flips
 from railrepro.figures import figure_number
 from railrepro.simulation.scenarios import load_scenario
@@ -73,12 +70,9 @@ def main() -> int:
 class Page:
     """Functions and values for the Jinja templates of the report: REPLICATION.md, figures/README.md, README.md.
 
-    Args:
-        judged (DataFrame): Verdicts as from `claims.evaluate`.
-        nominal (Nominal): Stored metrics.
-
-    In all methods `setting` is a column of verdicts, "paper", "swarm" or "loop", or "" for tables that do not depend
-    on it; `identity` is the id of a statement, as "C05".
+    `judged` are verdicts as from `claims.evaluate`, `nominal` are the stored metrics. In all methods `setting` is a
+    column of verdicts, "paper", "swarm" or "loop", or "" for tables that do not depend on it; `identity` is the id of a
+    statement, as "C05".
     """
 
     def __init__(self, judged: pd.DataFrame, nominal: Nominal):
@@ -125,7 +119,7 @@ class Page:
         """Content of claims.csv: `judged` without the column data, with why: the reasons where it is not reproduced."""
         reasons, table = self.sentences("why"), self.judged.drop(columns="data")
         why = pd.Series([" ".join(says for of, says in reasons if identity in of) for identity in table["id"]])
-        fails = (self.judged["judged"] != REPRODUCED) & (self.judged["data"] != "")
+        fails = (self.judged["judged"] != statements.REPRODUCED) & (self.judged["data"] != "")
         table.insert(list(table).index("evidence"), "why", why.str.replace(_LINK, r"\1", regex=True).where(fails, ""))
         return table
 
@@ -137,7 +131,7 @@ class Page:
         """Whether a Jinja condition, as in `Thesis.true`, holds; False when the results lack a needed value."""
         try:
             return bool(self._jinja.compile_expression(condition, undefined_to_none=False)())
-        except MissingEvidence:
+        except statements.MissingEvidence:
             return False
 
     def refuted(self) -> dict[str, list[str]]:
@@ -149,7 +143,7 @@ class Page:
         """True sentences of a role (`Thesis.role`) as pairs (ids, text). `ids` are the statements that the sentence
         explains and whose headline verdict is not "reproduced"."""
         true = [thesis for thesis in theses().values() if thesis.role == role and all(map(self.true, thesis.true))]
-        failing = [i for i, verdict in self.statements.items() if verdict != REPRODUCED]
+        failing = [i for i, verdict in self.statements.items() if verdict != statements.REPRODUCED]
         return [([i for i in thesis.of if i in failing], self.text(thesis.says)) for thesis in true]
 
     def e(self, setting: str, scenario: str, controller: str, metric: str) -> float:
@@ -164,7 +158,7 @@ class Page:
         """Metric (SI) of a controller in each of the four sudden losses of adhesion, in the setting "paper"."""
         return [self.e(PAPER, case, controller, metric) for case in statements.SUDDEN]
 
-    def find(self, identity: str, setting: str) -> Finding:
+    def find(self, identity: str, setting: str) -> statements.Finding:
         """Measured value of a statement in a setting, as a `Finding`; MissingEvidence when metrics are missing."""
         return statements.find(identity, self.nominal.evidence(setting))
 
@@ -172,13 +166,13 @@ class Page:
         """Whether a statement is reproduced in a setting, or with `setting` "calibrated" on the calibrated car."""
         if setting == "calibrated":
             return self.calibrated_car.get(identity) == "yes"
-        return self.rules[identity].judge(self.find(identity, setting)) == REPRODUCED
+        return self.rules[identity].judge(self.find(identity, setting)) == statements.REPRODUCED
 
     def table(self, name: str) -> pd.DataFrame:
         """Read data/results/NAME.csv; MissingEvidence when there is no such file."""
         table = self.nominal.results(name)
         if table is None:
-            raise MissingEvidence(name)
+            raise statements.MissingEvidence(name)
         return table
 
     def cell(self, name: str, column: str, **where):
@@ -187,7 +181,7 @@ class Page:
         table = self.table(name)
         rows = table.loc[np.logical_and.reduce([table[key] == value for key, value in where.items()]), column]
         if len(rows) != 1:
-            raise MissingEvidence(f"{name}: {len(rows)} rows with {where}")
+            raise statements.MissingEvidence(f"{name}: {len(rows)} rows with {where}")
         return rows.iloc[0]
 
     def tuned_rmse(self, controller: str, setting: str) -> float:

@@ -4,8 +4,6 @@ A cell shows its sentences as one paragraph. With the committed inputs a false s
 values it is only marked as false.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -13,8 +11,7 @@ import numpy as np
 
 MARK = "does not hold with these values"
 """Text before a false sentence in the output."""
-_KEY = "railrepro_false"
-"""Key of the false sentences in the metadata of an output."""
+_KEY = "railrepro_false"  # Key of the false sentences in the metadata of an output
 
 
 class Sentences(list):

@@ -1,7 +1,5 @@
 """Runs of all tuned sets in the settings of comparison, and the table of their metrics."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import product
 

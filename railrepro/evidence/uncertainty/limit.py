@@ -13,8 +13,6 @@ cost nothing. rho trades error for torque: the bound belongs to a given activity
 Source: Anderson and Moore 1990, Optimal Control, ch. 8 (separation); Anderson and Moore 1979, Optimal Filtering, ch. 4.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -133,10 +131,7 @@ def feedback(plant: System, weight: float) -> np.ndarray:
 
 def at_true_position(error: float, slopes: np.ndarray, loop: Loop) -> float:
     """Convert a bound `error` (m) from the set point at the measured track coordinate to one at the true coordinate.
-
-    The root of squares adds the standard deviation of the measured coordinate times the RMS of `slopes` dy*/dp, shape
-    (n,).
-    """
+    The root of squares adds the standard deviation of the measured coordinate times the RMS of `slopes` dy*/dp."""
     return float(np.hypot(error, loop.position.bias / np.sqrt(3) * np.sqrt(np.mean(np.square(slopes)))))
 
 

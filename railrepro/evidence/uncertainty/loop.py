@@ -5,8 +5,6 @@ out`, conditions that tuning never sees; `irregular`, rails of two classes from 
 set point at the true position of a running gear.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import product
 
@@ -28,8 +26,7 @@ from railrepro.vehicle.parameters import load_vehicle
 SEEDS = tuple(range(201, 225))  # of noise and biases; tuning and the chapters use others
 FEW = SEEDS[:3]  # seeds of the runs on irregular rails, which also draw the rails
 COMPARED = (OURS, "ndi_feedforward", "ndi_integral", "nmpc_observer")  # LQG, and each other that is best in any row
-_STILL = 1.0, 0.1
-"""Walks of force and moment so slow that sensors alone limit the error (N/s^0.5, N m/s^0.5)."""
+_STILL = 1.0, 0.1  # Walks of force and moment so slow that sensors alone limit the error (N/s^0.5, N m/s^0.5)
 _CLASSES = {80: "80", 160: "160", 280: "300", 400: "300"}  # speed (km/h) -> speed class of its rails
 _STRESS = {"plant": {"drive.lag": 0.0075}, "sensors": {"inverter.delay": 0.002, "inverter.gain": 1.2}}
 _FAST, _CURVE, _POOR = "sine_tracking", "curve_entry_T3", "adhesion_loss"

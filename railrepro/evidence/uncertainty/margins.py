@@ -1,7 +1,5 @@
 """Stability margins of all tuned sets: the longest tolerated delay, and the disk margin at four speeds."""
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from itertools import product
 

@@ -3,8 +3,6 @@
 Finished runs are in the store, so an interrupted study resumes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
