@@ -12,7 +12,7 @@ from railrepro import NDI, SteppedCar, lay, load_scenario, load_track, load_vehi
 from railrepro.contact.table import ContactTable, contact_table
 from railrepro.control import registry
 from railrepro.control.registry import guidance, parameters
-from railrepro.estimation.sensors import Latency
+from railrepro.evidence import benchmark
 from railrepro.evidence.chain import chain
 from railrepro.evidence.claims import calibrated, statements
 from railrepro.evidence.report import flips
@@ -67,7 +67,12 @@ def of_gears(front, rear):
 
 
 def law(result, **attributes):
-    return type("Law", (), {"torque": lambda self, q: result} | attributes)()
+    """A law with a torque, or with a function of q that gives it."""
+    return type("Law", (), {"torque": lambda self, q: result(q) if callable(result) else result} | attributes)()
+
+
+def searched(costs):
+    return swarm.minimise(lambda *_: costs, [swarm.Dimension("a", 0.0, 1.0)], 2, 2, seed=0)
 
 
 def put(**values):
