@@ -24,7 +24,6 @@ from railrepro.track.alignment import alignments
 from railrepro.track.irregularity import irregularities, irregularity_spectrum
 from railrepro.track.rough import rough_track
 from railrepro.track.route import COLUMNS, Route
-from railrepro.track.table import build_table
 from railrepro.tuning import swarm, task
 
 nan, inf = np.nan, np.inf
@@ -56,12 +55,6 @@ def planning(torque, **attributes):
     return drive(lambda *_: controller())
 
 
-def once(factory):
-    """Factory that gives both gears the same controller."""
-    made = {}
-    return lambda *of: made.setdefault("one", factory(*of))
-
-
 def of_gears(front, rear):
     return lambda vehicle, way, gear: (front, rear)[gear](vehicle, way, gear)
 
@@ -73,13 +66,6 @@ def law(result, **attributes):
 
 def searched(costs):
     return swarm.minimise(lambda *_: costs, [swarm.Dimension("a", 0.0, 1.0)], 2, 2, seed=0)
-
-
-def put(**values):
-    """Set arrays of a car."""
-    car = SteppedCar(STRAIGHT, 50.0, CONES)
-    for name, value in values.items():
-        setattr(car, name, value)
 
 
 def on(frame):
