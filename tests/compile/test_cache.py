@@ -6,6 +6,7 @@ import sys
 import threading
 
 import pytest
+from program import python
 
 from railrepro import paths
 from railrepro.compile import cache
@@ -73,8 +74,7 @@ LOADED = f"import ctypes; from railrepro.compile import cache; print(ctypes.CDLL
 
 def answer(tmp_path):
     """Output of the object in a process of its own, which it may crash."""
-    environment = os.environ | {"RAILREPRO_ROOT": str(tmp_path), "PYTHONPATH": str(paths.ROOT)}
-    done = subprocess.run([sys.executable, "-c", LOADED], env=environment, capture_output=True, text=True)
+    done = python("-c", LOADED, RAILREPRO_ROOT=str(tmp_path))
     return done.stdout or f"{done.returncode} {done.stderr}"
 
 

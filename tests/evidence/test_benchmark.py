@@ -10,7 +10,6 @@ import pytest
 
 from railrepro import __main__ as command
 from railrepro import __version__, paths
-from railrepro.data import InputError
 from railrepro.evidence import benchmark
 from railrepro.evidence.benchmark import NOTHING, cases, drive, known_route
 from railrepro.track.route import INDEX, Route
@@ -160,12 +159,6 @@ def test_a_seed_draws_noise_irregularity_and_mismatch():
         assert one.setting == "loop" or not one.sensors or one.sensors["perfect"]
         for key in benchmark.MISMATCH if name.startswith("mismatch") else ():
             assert ranges[key][0] <= one.plant[key] <= ranges[key][1]
-
-
-@pytest.mark.parametrize("names", [["curve_T3", "curve_T9"], []])
-def test_an_unknown_name_of_a_run_is_refused_with_the_known_ones(names):
-    with pytest.raises(InputError, match=r"one or more of \['curve_T1', .*'delay_12ms_poor'\] are needed"):
-        cases(1, names)
 
 
 def test_the_leaderboard_ranks_by_the_ranked_draws():

@@ -1,13 +1,12 @@
 """Hashes of code: they are the same in every Python, and no cache returns results of other code."""
 
 import os
-import shutil
 import subprocess
 import sys
 
 import pytest
 
-from railrepro import code, paths
+from railrepro import code
 
 SNIPPETS = {
     'def f(a):\n    """Sine."""\n\n    return -a  # sign\n': "def f(a):\n    return -a",
@@ -60,15 +59,6 @@ def test_the_version_depends_on_every_source_that_computes_a_run_and_on_no_other
     asking = ("evidence", "studies", "tuning")
     assert changed == {name: not (name.split("/")[1] in asking or name in code.DRAWING) for name in changed}
     assert set(code.DRAWING) <= set(changed)
-
-
-@pytest.fixture
-def copy(tmp_path):
-    """A checkout with a copy of the package that can be edited."""
-    shutil.copytree(paths.ROOT / "railrepro", tmp_path / "railrepro", ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("notebooks", "data", "build"):
-        (tmp_path / name).mkdir()
-    return tmp_path
 
 
 def python(folder, *arguments):

@@ -59,7 +59,8 @@ class Toy:
 
     def held(self, on_interrupt):
         """Start make and wait until its notebook is between its two products."""
-        self.forget()
+        for name in ("build/stamps", "data/results", "figures"):  # all is stale, but compiled code stays
+            shutil.rmtree(self.folder / name, ignore_errors=True)
         (self.folder / "held").unlink(missing_ok=True)
         (self.folder / "hold").touch()
         # a background job of a shell ignores Ctrl-C, and so do its children
@@ -68,11 +69,6 @@ class Toy:
             assert started.poll() is None
             time.sleep(0.1)
         return started
-
-    def forget(self):
-        """Make everything stale, but keep compiled code."""
-        for name in ("build/stamps", "data/results", "figures"):
-            shutil.rmtree(self.folder / name, ignore_errors=True)
 
     def products(self):
         """Dict from the name of each file in data to its content."""

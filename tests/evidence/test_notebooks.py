@@ -60,9 +60,7 @@ EDITS = [
     Edit("02", {"wheel_load_kN": 110.0}, marks=True),
     Edit("02", texts={VEHICLE: ("value = 0.15,", "value = 0.12,")}),
     Edit("02", cells={"np.arctan(rail.k_s * epsilon)": "np.pi / 2 * np.tanh(rail.k_s * epsilon)"}),
-    Edit(
-        "02", cells={"polach(-slip, 0.0, 0.0, v / 3.6, rails[name])": "polach(-slip, 0.0, 0.2, v / 3.6, rails[name])"}
-    ),
+    Edit("02", cells={"polach(-slip, 0.0, 0.0, v / 3.6, rails": "polach(-slip, 0.0, 0.2, v / 3.6, rails"}),
     Edit("03", {"speed_kmh": 40}, marks=True, quick=True),
     Edit("03", {"periods_ms": [1, 100], "speeds_kmh": [100]}, marks=True),
     Edit("03", {"wheels": "s1002", "torque_Nm": -60}, marks=True),
@@ -80,10 +78,7 @@ EDITS = [
     Edit("04", cells={"T * s.r * dU[k] ** 2  # (31a)": "T * s.r * (dU[k] - (dU[k - 1] if k else 0)) ** 2"}),
     Edit("04", cells={'gains["k0"] * (y_ref - y)': '2 * gains["k0"] * (y_ref - y)'}),
     Edit("04", cells={"(8, 10, 12, 15, 25, 50)": "(5, 10, 26)", "(0.01, 0.1, 10, 100)": "(10,)"}),
-    Edit(
-        "04",
-        cells={"vertcat(x_d[0], 0, x_d[2], 0, 0, 0)": "vertcat(x_d[0], theta[0], x_d[2], 0, 0, 0)"},
-    ),
+    Edit("04", cells={"vertcat(x_d[0], 0, x_d[2], 0, 0, 0)": "vertcat(x_d[0], theta[0], x_d[2], 0, 0, 0)"}),
     Edit("05", {"controllers": ["nmpc_observer", "ndi"]}),
     Edit("05", {"check_controllers": None, "tolerance": 1e-9}),
     Edit("05", {"particles": 12, "seed": 7, "map_points": 2}),
@@ -93,9 +88,7 @@ EDITS = [
     Edit("05", texts={TUNING: ("least = 0.5", "least = 0.3")}, marks=True),
     Edit("05", {"controllers": ["lqg_preview"], "check_controllers": ["lqg_preview"]}, marks=True),
     Edit("05", {"controllers": ["ltv_mpc", "lqg_preview"], "check_controllers": ["ltv_mpc"]}, marks=True),
-    Edit(
-        "05", cells={"0.7298 * (v + 2.05 * r1 * (own - x) + 2.05 * r2 * (best - x))": "0.5 * v + 1.5 * r2 * (best - x)"}
-    ),
+    Edit("05", cells={"0.7298 * (v + 2.05 * r1 * (own - x) + 2.05 * r2 *": "(0.5 * v + 1.5 * r2 *"}),
     Edit("05", cells={"for pole in (20.0, 30.0, 50.0)": "for pole in (15.0, 60.0)"}),
     Edit("05", texts={TUNING: ("weight = 0.25", "weight = 1.0")}),
     Edit("06", {"end_m": 100.0, "ndi_poles": [20, 40]}, marks=True),
@@ -103,10 +96,7 @@ EDITS = [
     Edit("06", {"scenario_name": "curve_entry_T4", "end_m": 700.0}),
     Edit("06", {"end_m": 300.0, "ndi_poles": [30], "horizons_s": [0.008], "crest_mm": 2.0}, marks=True),
     Edit("06", {"end_m": 300.0, "horizons_s": [], "ndi_poles": [30], "rho": 0.0}, CONES, marks=True),
-    Edit(
-        "06",
-        cells={"compare(scenario, PAPER_TRIO, stride=5)": 'compare(scenario, ["nmpc", "ltv_mpc", "ndi"], stride=5)'},
-    ),
+    Edit("06", cells={"(scenario, PAPER_TRIO, stride=5)": '(scenario, ["nmpc", "ltv_mpc", "ndi"], stride=5)'}),
     Edit("06", {"scenario_name": "curve_entry_T2", "rho": 0.3}),
     Edit("06", {"end_m": 300.0}, cells={'"ndi_feedforward", "ndi_swarm"]': '"ndi_feedforward", "nmpc_observer"]'}),
     Edit("07", {"stiff_times": 3.0, "end_m": 300.0}),

@@ -12,7 +12,6 @@ import pandas as pd
 import pytest
 
 from railrepro.control.registry import PAPER_TRIO as TRIO
-from railrepro.data import InputError
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.statements import NOT, PARTLY, REPRODUCED, TIE, Evidence, Finding, MissingEvidence
 
@@ -234,14 +233,3 @@ def test_missing_evidence_is_named():
     for identity, named in (("C05", "curve_entry_T3, ndi, rmse_y"), ("C01", "table1")):
         with pytest.raises(MissingEvidence, match=named):
             statements.find(identity, Evidence({}))
-
-
-@pytest.mark.parametrize(
-    ("head", "end", "wrong"), [("C05", "", "neither above nor below"), ("C99", "above = 1", "no function")]
-)
-def test_a_statement_needs_limits_and_a_function(head, end, wrong, tmp_path):
-    file = tmp_path / "claims.toml"
-    texts = ("section", "statement", "unit", "reason", "evidence", "notebook")
-    file.write_text("\n".join([f"[{head}]", 'kind = "statement"', *(f'{key} = ""' for key in texts), end]))
-    with pytest.raises(InputError, match=f"claims.toml: .*{head}.* has {wrong}"):
-        statements.load(file)

@@ -12,7 +12,7 @@ from railrepro import NDI, SteppedCar, lay, load_scenario, load_track, load_vehi
 from railrepro.contact.table import ContactTable, contact_table
 from railrepro.control import registry
 from railrepro.control.registry import guidance, parameters
-from railrepro.estimation.sensors import Latency
+from railrepro.evidence import benchmark
 from railrepro.evidence.chain import chain
 from railrepro.evidence.claims import calibrated, statements
 from railrepro.evidence.report import flips
@@ -24,7 +24,6 @@ from railrepro.track.alignment import alignments
 from railrepro.track.irregularity import irregularities, irregularity_spectrum
 from railrepro.track.rough import rough_track
 from railrepro.track.route import COLUMNS, Route
-from railrepro.track.table import build_table
 from railrepro.tuning import swarm, task
 
 nan, inf = np.nan, np.inf
@@ -56,25 +55,17 @@ def planning(torque, **attributes):
     return drive(lambda *_: controller())
 
 
-def once(factory):
-    """Factory that gives both gears the same controller."""
-    made = {}
-    return lambda *of: made.setdefault("one", factory(*of))
-
-
 def of_gears(front, rear):
     return lambda vehicle, way, gear: (front, rear)[gear](vehicle, way, gear)
 
 
 def law(result, **attributes):
-    return type("Law", (), {"torque": lambda self, q: result} | attributes)()
+    """A law with a torque, or with a function of q that gives it."""
+    return type("Law", (), {"torque": lambda self, q: result(q) if callable(result) else result} | attributes)()
 
 
-def put(**values):
-    """Set arrays of a car."""
-    car = SteppedCar(STRAIGHT, 50.0, CONES)
-    for name, value in values.items():
-        setattr(car, name, value)
+def searched(costs):
+    return swarm.minimise(lambda *_: costs, [swarm.Dimension("a", 0.0, 1.0)], 2, 2, seed=0)
 
 
 def on(frame):

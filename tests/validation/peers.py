@@ -9,7 +9,6 @@ Control (computation times).
 
 from __future__ import annotations
 
-import sys
 import time
 from dataclasses import replace
 from functools import lru_cache
@@ -29,7 +28,6 @@ from railrepro.control.solvers import ipopt
 from railrepro.control.solvers.ipopt import SCALE, UNIT
 from railrepro.data import write
 from railrepro.evidence.bench import speed
-from railrepro.evidence.commands import report_errors
 from railrepro.model.control_model import STATES
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
@@ -144,22 +142,13 @@ def compare(recording: speed.Recording, vehicle: Vehicle, rounds: int = 3) -> pd
     return pd.DataFrame(rows)
 
 
-def main(count: int = 6) -> None:
-    """Compare on the curve entry, print the table and write it.
-
-    The problems are those of the setting `loop`, and of `paper` with the discretisation of the paper, each with
-    inactive and active bounds.
-    """
-    vehicle = load_vehicle()
+if __name__ == "__main__":
+    car = load_vehicle()
     tuned = [mpc_settings(parameters("nmpc", name)) for name in ("loop", "paper")]
-    chosen = tuned[0], replace(tuned[1], discretisation="euler")
-    plain = [speed.record("curve_entry_T3", settings, vehicle, count) for settings in chosen]
+    chosen = tuned[0], replace(tuned[1], discretisation="euler")  # that of the paper
+    plain = [speed.record("curve_entry_T3", settings, car, 6) for settings in chosen]
     recordings = [recording for one in plain for recording in (one, speed.tightened(one))]
-    table = pd.concat([compare(recording, vehicle) for recording in tqdm(recordings, desc="peers")], ignore_index=True)
+    table = pd.concat([compare(recording, car) for recording in tqdm(recordings, desc="peers")], ignore_index=True)
     table["machine"] = speed.machine()
     write(paths.product("data/results/peer_times.csv"), table.to_csv(index=False, float_format="%.4g"))
     print(table.drop(columns="machine").to_string(index=False))
-
-
-if __name__ == "__main__":
-    sys.exit(report_errors(main))

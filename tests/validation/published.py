@@ -7,7 +7,6 @@ paper's section Simulation Environment.
 
 from __future__ import annotations
 
-import sys
 import warnings
 from collections.abc import Callable
 
@@ -20,7 +19,6 @@ from railrepro.car.component import SteppedCar
 from railrepro.car.equations import WHEELS
 from railrepro.contact.table import ContactTable, contact_table
 from railrepro.data import write
-from railrepro.evidence.commands import report_errors
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 _LATERAL = ("y", "psi", "phi", "vy", "wz", "wx")
@@ -164,13 +162,8 @@ def comparison() -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["vehicle", "quantity", "published", "ours", "limit"])
 
 
-def main() -> None:
-    """Compare all vehicles, print the table and write it."""
+if __name__ == "__main__":
     warnings.simplefilter("ignore", UserWarning)  # their data are out of the range of the project's car
     table = comparison()
     write(paths.product("data/results/published_vehicles.csv"), table.to_csv(index=False, float_format="%.17g"))
     print(table.to_string(index=False))
-
-
-if __name__ == "__main__":
-    sys.exit(report_errors(main))

@@ -30,12 +30,10 @@ from railrepro.control.solvers import ipopt
 from railrepro.control.solvers.ipopt import SCALE, SLACK, UNIT
 from railrepro.data import write
 from railrepro.evidence.bench import speed
-from railrepro.evidence.commands import report_errors
 from railrepro.model.control_model import STATES, Y
 from railrepro.simulation import scenarios, simulate
 from railrepro.vehicle.parameters import load_vehicle
 
-FOLDER, TIMES = "data/problems", "data/results/qp_times.csv"
 SETTINGS = MPCSettings((0.0, 0.0, 0.0, 1e-4, 1.0, 2e-3), r=1e-12, q_terminal=100.0, period=0.005)
 """Settings of all six, except for steps and lateral bound; near the tuned sets of the setting "paper"."""
 OURS = "recursion"
@@ -137,7 +135,7 @@ def posed(name: str) -> dict[str, np.ndarray]:
 
 def read(name: str) -> dict[str, np.ndarray]:
     """Read the arrays of a file of data/problems."""
-    with np.load(paths.source(f"{FOLDER}/{name}.npz")) as file:
+    with np.load(paths.source(f"data/problems/{name}.npz")) as file:
         return dict(file)
 
 
@@ -209,6 +207,7 @@ def clarabel(of: dict[str, np.ndarray]) -> Callable[[], np.ndarray]:
 
 
 SOLVERS = {"daqp": daqp, "piqp": piqp, "clarabel": clarabel}
+INSTALLED = [solver for solver in SOLVERS if solver == "daqp" or find_spec(solver)]  # DAQP comes with CasADi
 
 
 def apart(name: str, of: dict[str, np.ndarray], x: np.ndarray) -> tuple[float, float]:
@@ -235,21 +234,16 @@ def _recursion_ms(name: str) -> float:
     return _least_ms(solve)
 
 
-def missing() -> list[str]:
-    """List the solvers whose package is not installed; DAQP comes with CasADi."""
-    return [solver for solver in SOLVERS if solver != "daqp" and not find_spec(solver)]
-
-
 def compare() -> pd.DataFrame:
     """Solve the files by all installed solvers: a row of data/results/qp_times.csv per problem and solver.
 
     Times exclude what may be prepared before a state is measured, for `daqp` also the elimination of the states.
     """
-    rows, installed = [], [solver for solver in SOLVERS if solver not in missing()]
+    rows = []
     for name in CASES:
         of, ours = read(name), _recursion_ms(name)
         rows.append({"problem": name, "solver": OURS, "ms": ours, "ratio_to_ours": 1.0})
-        for solver in installed:
+        for solver in INSTALLED:
             solve = SOLVERS[solver](of)
             difference, objective = apart(name, of, solve())
             ms = _least_ms(solve)
@@ -258,22 +252,16 @@ def compare() -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def main(*arguments: str) -> None:
-    """Compare solvers on the problems, print the table and write it; with "--write" write the problems instead."""
-    if arguments == ("--write",):
-        for name in CASES:
-            content = io.BytesIO()
-            np.savez(content, **posed(name))  # not compressed, as bits would then depend on the library
-            write(paths.product(f"{FOLDER}/{name}.npz"), content.getvalue())
-        return
-    table = compare()
+if __name__ == "__main__" and sys.argv[1:] == ["--write"]:
+    for problem in CASES:
+        content = io.BytesIO()
+        np.savez(content, **posed(problem))  # not compressed, as bits would then depend on the library
+        write(paths.product(f"data/problems/{problem}.npz"), content.getvalue())
+elif __name__ == "__main__":
+    missing, table = [solver for solver in SOLVERS if solver not in INSTALLED], compare()
     print(table.to_string(index=False))
-    if missing():
-        print(f"no {' and '.join(missing())}: `make test-extras` installs them, then the table is written")
+    if missing:
+        print(f"no {' and '.join(missing)}: `make test-extras` installs them, then the table is written")
     else:
         text = table.assign(machine=speed.machine()).to_csv(index=False, float_format="%.4g")
-        write(paths.product(TIMES), text)
-
-
-if __name__ == "__main__":
-    sys.exit(report_errors(lambda: main(*sys.argv[1:])))
+        write(paths.product("data/results/qp_times.csv"), text)

@@ -6,7 +6,6 @@ the paper's section Simulation Environment.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -21,7 +20,6 @@ from railrepro.car.component import SteppedCar
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.control.ndi import NDI
 from railrepro.data import write
-from railrepro.evidence.commands import report_errors
 from railrepro.quantities import GEARS
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
@@ -158,12 +156,7 @@ def _signals(run: pd.DataFrame) -> dict[tuple[str, str], np.ndarray]:
     return signals | {("differential torque", "N m"): run[list(GUIDED)].to_numpy()}
 
 
-def main() -> None:
-    """Compare all cases, write the table and print it."""
+if __name__ == "__main__":
     table = pd.concat([compare(case.name, replay(case)) for case in tqdm(CASES)], ignore_index=True)
     write(paths.product("data/results/second_opinion.csv"), table.to_csv(index=False, float_format="%.4g"))
     print(table.to_string(index=False, float_format="{:.3g}".format))
-
-
-if __name__ == "__main__":
-    sys.exit(report_errors(main))

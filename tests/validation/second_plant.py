@@ -11,7 +11,6 @@ Serves the paper's section Multi-Body Simulation Results.
 from __future__ import annotations
 
 import os
-import sys
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from itertools import product
@@ -30,7 +29,6 @@ from railrepro.control.registry import CONTROLLERS, PAPER_TRIO, tuned
 from railrepro.data import write
 from railrepro.evidence.claims import probe, statements
 from railrepro.evidence.claims.setup import setup
-from railrepro.evidence.commands import report_errors
 from railrepro.quantities import indices, pack
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import Scenario, load_scenario
@@ -119,18 +117,15 @@ def verdicts(rows: list[tuple]) -> pd.DataFrame:
     for plant in PLANTS:
         metrics_of = {tuple(key): value for of, *key, value in rows if of == plant}
         found[plant] = statements.findings(statements.Evidence(metrics_of))
-    return pd.DataFrame(
-        [
-            {"id": identity, "statement": rule.statement}
-            | {plant: rule.judge(found[plant][identity]) for plant in PLANTS}
-            for identity, rule in statements.load().items()
-            if all(identity in found[plant] for plant in PLANTS)
-        ]
-    )
+    judged = []
+    for identity, rule in statements.load().items():
+        if all(identity in found[plant] for plant in PLANTS):
+            verdict = {plant: rule.judge(found[plant][identity]) for plant in PLANTS}
+            judged.append({"id": identity, "statement": rule.statement} | verdict)
+    return pd.DataFrame(judged)
 
 
-def main() -> None:
-    """Drive all scenarios, probe both plants, write both tables and print them."""
+if __name__ == "__main__":
     tasks, parts = [*product(SCENARIOS, PAPER_TRIO, PLANTS)], [*product(PARTS, PLANTS)]
     with ProcessPoolExecutor() as pool:
         table = pd.DataFrame(tqdm(pool.map(driven, tasks), "runs", len(tasks)))
@@ -138,7 +133,3 @@ def main() -> None:
     for name, found in {"second_plant": table, "second_plant_verdicts": verdicts(rows)}.items():
         write(paths.product(f"data/results/{name}.csv"), found.to_csv(index=False, float_format="%.5g"))
         print(found.to_string(index=False))
-
-
-if __name__ == "__main__":
-    sys.exit(report_errors(main))
