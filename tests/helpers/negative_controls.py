@@ -5,8 +5,6 @@ per statement; a test requires that the statement is not reproduced then. Serves
 Simulation Results.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -4,8 +4,6 @@
 Serves eq. (4) of the paper.
 """
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

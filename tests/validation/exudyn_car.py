@@ -14,8 +14,6 @@ z_body x x_carrier, and motor torque times relative roll becomes a yaw torque.
 Needs the group `bench`. Serves the paper's section Simulation Environment.
 """
 
-from __future__ import annotations
-
 from collections import namedtuple
 from collections.abc import Callable
 from math import exp

@@ -7,8 +7,6 @@ call without Python objects in between is timed on the processor, several times;
 Control (computation times).
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 from functools import lru_cache

@@ -5,8 +5,6 @@ Each is the car with other data and its own contact table; some bodies are held 
 paper's section Simulation Environment.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 

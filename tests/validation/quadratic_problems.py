@@ -7,8 +7,6 @@ data/tuned, so that the problems do not change with the tuning. Serves the paper
 (computation times).
 """
 
-from __future__ import annotations
-
 import ctypes
 import io
 import sys

@@ -9,8 +9,6 @@ Source: Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact, chs. 3
 Johnson 1985, Contact Mechanics, section 3.6 (displacement under tangential load).
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from itertools import product
 from pathlib import Path

@@ -4,8 +4,6 @@
 the paper's section Simulation Environment.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 

@@ -8,8 +8,6 @@ with allocation and adhesion law is the project's; bodies, integrator, rails, co
 Serves the paper's section Multi-Body Simulation Results.
 """
 
-from __future__ import annotations
-
 import os
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
