@@ -38,14 +38,6 @@ def test_the_committed_report_is_that_of_the_tables(table, tmp_path, monkeypatch
         assert (tmp_path / file).read_bytes() == (paths.ROOT / file).read_bytes()
 
 
-def test_modules_have_about_the_lines_that_the_guide_for_referees_states():
-    rows = re.findall(r"^\| (`.*\.py`) \| (\d+) \|", (paths.ROOT / "CONTRIBUTING.md").read_text(), re.M)
-    assert len(rows) > 8
-    for files, lines in rows:
-        texts = [(paths.ROOT / "railrepro" / file).read_text() for file in re.findall(r"`(.+?)`", files)]
-        assert sum(text.count("\n") for text in texts) == pytest.approx(int(lines), rel=0.25), files
-
-
 def test_the_first_program_draws_and_prints_the_numbers_of_the_table(monkeypatch, tmp_path):
     program = re.search(r"^```python\n(from railrepro import .*?)^```", README, re.M | re.S).group(1)
     monkeypatch.chdir(tmp_path)

@@ -1,24 +1,15 @@
-"""Control of a page in headless Chromium by its debugging protocol. As a program (`make live`, then `python
-tests/helpers/browser.py`) it records the animation of the front page from the live page."""
+"""A page in headless Chromium, by its debugging protocol."""
 
-import base64
 import contextlib
-import io
 import json
 import os
 import shutil
 import subprocess
-import tempfile
 import time
-from pathlib import Path
-from urllib.parse import quote
 from urllib.request import urlopen
 
 import pytest
 import websocket
-from PIL import Image
-
-from railrepro import paths
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 needs_browser = pytest.mark.skipif(BROWSER is None, reason="there is no Chromium on this machine")
@@ -71,30 +62,3 @@ def opened(url, folder, size="1440,900"):
     finally:
         process.terminate()
         process.wait(20)
-
-
-SHOWN = {"figure": "braking", "shown": ["nmpc", "ndi", "ndi_integral"]}
-ENDED = "(document.body?.innerText ?? '').split('The car stands').length > 3"
-
-
-def record(page):
-    """Pictures of the second run on a page, as many as the browser gives. By then its modules are compiled."""
-    while not page.evaluated(ENDED):
-        pass
-    page.evaluated("document.getElementById('run').click()")
-    found = []
-    while not page.evaluated(ENDED):
-        shot = io.BytesIO(base64.b64decode(page.ask("Page.captureScreenshot", format="png")["data"]))
-        picture = Image.open(shot).convert("RGB")
-        found.append(picture.resize([round(0.62 * side) for side in picture.size], Image.Resampling.LANCZOS))
-    return found
-
-
-if __name__ == "__main__":
-    file, url = paths.ROOT / "figures/live.gif", (paths.BUILD / "live/index.html").as_uri()
-    address = f"{url}#{quote(json.dumps(SHOWN))}"
-    with tempfile.TemporaryDirectory() as folder, opened(address, Path(folder), "1180,900") as live:
-        pictures = record(live)[::2]
-    taken = [picture.quantize(64, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE) for picture in pictures]
-    times = [120] * (len(taken) - 1) + [4000]
-    taken[0].save(file, save_all=True, append_images=taken[1:], duration=times, loop=0, optimize=True)
