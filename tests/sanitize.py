@@ -1,7 +1,5 @@
-"""Public calls under AddressSanitizer and UndefinedBehaviorSanitizer; `make sanitize` sets the environment.
-
-A finding ends the process with a report. Invalid input is used if it is not refused, so that the sanitizers see it.
-"""
+"""Public calls under AddressSanitizer and UndefinedBehaviorSanitizer (`make sanitize`); a finding ends the process.
+Invalid input is used if it is not refused, so that the sanitizers see it."""
 
 import ctypes
 import os

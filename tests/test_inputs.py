@@ -1,8 +1,6 @@
-"""Wrong input gives a message of one line: calls, commands, the environment, interrupts.
-
-inputs.toml has wrong calls (`refused`) and wrong commands with variables of the environment in front (`told`), for what
-the ranges of fields do not cover. `…` separates parts of a message.
-"""
+"""Wrong input gives a message of one line: calls, commands, the environment, interrupts. inputs.toml has wrong calls
+(`refused`) and wrong commands with variables of the environment in front (`told`), for what the ranges of fields do not
+cover. `…` separates parts of a message."""
 
 import importlib
 import os

@@ -1,7 +1,6 @@
-"""Steps of the adhesion law. With the error nu = f* - f (24) the torque changes by p sgn(nu) in regular operation
-(22), (25). Where the switching function f' s' (21) shows that the maximum is passed, it falls whatever nu is (23). The
-printed slip is negative in traction, so a stable wheel has f' s' < 0.
-"""
+"""Steps of the adhesion law. With the error nu = f* - f (24) the torque changes by p sgn(nu) in regular operation (22),
+(25). Where the switching function f' s' (21) shows that the maximum is passed, it falls whatever nu is (23). The
+printed slip is negative in traction, so a stable wheel has f' s' < 0."""
 
 from dataclasses import replace
 

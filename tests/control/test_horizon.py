@@ -49,10 +49,8 @@ def linearise(horizon):
 
 
 def minimiser(horizon):
-    """Steps of the states (L + 1, 6) and torques (L,) that minimise the stated cost about a linearised horizon.
-
-    The states are eliminated and the program is dense, so that it shares nothing with the recursion but the cost.
-    """
+    """Steps of the states (L + 1, 6) and torques (L,) that minimise the stated cost about a linearised horizon. The
+    states are eliminated and the program is dense, so that it shares nothing with the recursion but the cost."""
     s, steps = horizon.settings, horizon.settings.steps
     t, model = Tuning.of(ca.DM(s.tuning())), dynamics(s.variant, s.discretisation)
     du, slack = ca.SX.sym("du", steps), ca.SX.sym("slack", steps)

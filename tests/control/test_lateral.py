@@ -84,12 +84,10 @@ def along_the_model(vehicle, expressions, state, theta, ddpsi_dp, u_d, du):
 @pytest.mark.parametrize("speed", [40 / 3.6, 400 / 3.6])
 @pytest.mark.parametrize(("base_torque", "off", "tolerance"), [(0.0, 1, 1e-9), (-2500.0, 1, 5e-3), (-2500.0, 0, 1e-9)])
 def test_the_inversion_gives_the_control_model_the_error_dynamics(speed, base_torque, off, tolerance):
-    """y has the third derivative of y*, and k2, k1, k0 and ki times the error's derivatives, itself and its integral.
-
-    This holds to first order in all lateral quantities, which `scale` multiplies. The inversion leaves out the yaw
-    stiffness of the weight (one hundredth of the spring's), so the model is taken without gravity, and the moment of a
-    base torque on unequal radii or a rolled axle, so while braking it is exact in the middle of a level track only.
-    """
+    """y has the third derivative of y*, and k2, k1, k0 and ki times the error's derivatives, itself and its integral,
+    to first order in all lateral quantities, which `scale` multiplies. The inversion leaves out the yaw stiffness of
+    the weight (one hundredth of the spring's), so the model is taken without gravity, and the moment of a base torque
+    on unequal radii or a rolled axle, so while braking it is exact in the middle of a level track only."""
     vehicle, generator, scale = load_vehicle(), np.random.default_rng(3), ca.SX.sym("scale")
     sizes = {"psi": 1e-3, "y": off * 3e-3, "yaw_rate": 0.05, "psi_Tr": 0.1, "dpsi_dp": 1e-3, "phi_Tr": off * 0.1}
     sizes |= {"dphi_dp": 1e-3, "psi_CB": 2e-3, "dpsi_dp_CB": 1e-3, "ddpsi_dp": 1e-5, "integral": 1e-4}

@@ -1,7 +1,5 @@
-"""Fault injection in a chain of one notebook: kill and Ctrl-C.
-
-After a fault no process is left, products are complete, and the next run ends as if the fault had not happened.
-"""
+"""Kill and Ctrl-C in a chain of one notebook: no process is left, products are complete, and the next run ends as if
+nothing had happened."""
 
 import os
 import shutil

@@ -14,9 +14,7 @@ WALKS = (1000.0, 50.0)
 
 def loop_of(of, wanted):
     """Variances of the displacement, of the error of its estimate and of the change of torque under a feedback.
-
-    Estimates and their errors (the torques have none) are one linear system, in the units of `of`.
-    """
+    Estimates and their errors (the torques have none) are one linear system, in the units of `of`."""
     n, m = len(of.a), bound.TORQUE
     p = np.zeros((n, n))
     p[:m, :m] = linalg.solve_discrete_are(of.a[:m, :m].T, of.c[:, :m].T, of.q[:m, :m], np.eye(3))

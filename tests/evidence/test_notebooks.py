@@ -26,9 +26,7 @@ def test_notebook(notebook, tmp_path):
 
 class Edit(NamedTuple):
     """An edit of a reader: the chapter (how its name begins), and changed parameters, texts in data/ or code in cells.
-
-    One with `marks` must mark a sentence as false. `make test` runs the quick ones, `make test-slow` the others.
-    """
+    One with `marks` must mark a sentence as false. `make test` runs the quick ones, `make test-slow` the others."""
 
     chapter: str
     parameters: dict = {}

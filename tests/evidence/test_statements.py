@@ -1,8 +1,5 @@
-"""Rules of the paper's statements: they hold where the paper is right, and fail otherwise.
-
-In the ideal world, made by hand, every statement holds. Each rule then meets its negative controls and changes on both
-sides of its limits, which are those of data/claims.toml.
-"""
+"""Rules of the paper's statements: every one holds in an ideal world made by hand, and meets its negative controls and
+changes on both sides of its limits, which are those of data/claims.toml."""
 
 from dataclasses import replace
 

@@ -1,9 +1,6 @@
-"""Negative controls: changes of evidence that a rule must not pass.
-
-`CONTROLS` has functions from evidence to the evidence in the named counterfactual. data/claims.toml names one or more
-per statement; a test requires that the statement is not reproduced then. Serves the paper's section Multi-Body
-Simulation Results.
-"""
+"""Negative controls: `CONTROLS` has functions from evidence to the evidence in the named counterfactual, in which a
+rule must not hold. data/claims.toml names one or more per statement. Serves the paper's section Multi-Body Simulation
+Results."""
 
 from collections.abc import Callable
 from dataclasses import replace

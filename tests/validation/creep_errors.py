@@ -1,8 +1,5 @@
-"""Errors of the creep law against half spaces in steady rolling (`rolling_contact`), by spin.
-
-`python tests/validation/creep_errors.py` writes data/results/creep_errors.csv, which `02_contact` shows (4 minutes).
-Serves eq. (4) of the paper.
-"""
+"""Errors of the creep law against half spaces in steady rolling (`rolling_contact`), by spin. As a script (4 minutes)
+it writes data/results/creep_errors.csv, which `02_contact` shows. Serves eq. (4) of the paper."""
 
 from itertools import product
 

@@ -1,18 +1,16 @@
 """The car in the public multibody code Exudyn, derived from the mechanics and not from the equations of the project.
 
-Exudyn gets three floating bodies in inertial coordinates with four wheels on revolute joints, forms their equations of
-motion and integrates them. All forces follow from positions and velocities in space: each spring acts between its two
-points, each wheel is a surface of revolution whose deepest point is searched along the rail. Rails, contact and creep
-are independent, too: the track is its integrated curvature; a cone has Hertz's ellipse from Carlson's integrals and
-Kalker's coefficients from his table, S1002 has the patches of `rolling_contact`; linear force and moment are reduced
-together. Shared with the project are data only: vehicle, profiles, segments of the track, samples of irregularities.
+Exudyn integrates three floating bodies in inertial coordinates with four wheels on revolute joints. Forces follow from
+positions and velocities in space: a spring acts between its two points, a wheel is a surface of revolution whose
+deepest point is searched along the rail. Rails, contact and creep are independent, too: the track is its integrated
+curvature; a cone has Hertz's ellipse from Carlson's integrals and Kalker's coefficients from his table, S1002 has the
+patches of `rolling_contact`. Shared with the project are data only: vehicle, profiles, segments of the track, samples
+of irregularities.
 
 Both cars need the same convention for torques of the suspension: a rotational element has the potential k e^2/2, where
-e is the product of one axis of each body. So the pitch reaction (e = x_carrier . z_body) acts about
-z_body x x_carrier, and motor torque times relative roll becomes a yaw torque.
-
-Needs the group `bench`. Serves the paper's section Simulation Environment.
-"""
+e is the product of one axis of each body. So the pitch reaction (e = x_carrier . z_body) acts about z_body x x_carrier,
+and motor torque times relative roll becomes a yaw torque. Needs the group `bench`. Serves the paper's section
+Simulation Environment."""
 
 from collections import namedtuple
 from collections.abc import Callable
@@ -73,11 +71,8 @@ _KALKER = np.array(
 
 def patch(vehicle: Vehicle) -> tuple[float, float, np.ndarray]:
     """Solve the contact of a cone on the crown of the rail at nominal load: semi-axes a, b along and across (m), and
-    Kalker's coefficients c11, c22, c23, c33 (-).
-
-    The coefficients are linear in b/a, their inverses a parabola over Poisson's ratio. Source: Hertz's pressure as a
-    layer potential, R_D of Carlson 1979; Kalker 1990, Table E3.
-    """
+    Kalker's coefficients c11, c22, c23, c33 (-). These are linear in b/a, their inverses a parabola over Poisson's
+    ratio. Source: Hertz's pressure as a layer potential, R_D of Carlson 1979; Kalker 1990, Table E3."""
     data, along = vehicle.contact, np.cos(vehicle.wheel.cone_angle) / vehicle.wheel.radius
     modulus = data.young / (2 * (1 - data.poisson**2))
 
@@ -93,11 +88,9 @@ def patch(vehicle: Vehicle) -> tuple[float, float, np.ndarray]:
 
 
 def cells_at(wheels: PPoly, places) -> np.ndarray:
-    """Look up start and coefficients of the cells of cubics at some places, shape (n, 25).
-
-    `wheels` has cubics over the position of the rail on the wheel, outwards of the tape circle (m): effective radius
-    less the nominal one, rolling radius (m), and `Stiffness` at nominal load.
-    """
+    """Look up start and coefficients of the cells of cubics at some places, shape (n, 25). `wheels` is over the
+    position of the rail on the wheel, outwards of the tape circle (m): effective radius less the nominal one, rolling
+    radius (m), and `Stiffness` at nominal load."""
     cell = np.clip(np.searchsorted(wheels.x, places, side="right") - 1, 0, len(wheels.x) - 2)
     return np.column_stack([wheels.x[cell], wheels.c[:, cell].transpose(1, 0, 2).reshape(len(cell), -1)])
 
@@ -119,13 +112,9 @@ def s1002() -> PPoly:
 def creep(
     vehicle: Vehicle, stiffness: Stiffness, load, nu_x, nu_y, spin, slip_speed, rail: str = "dry"
 ) -> tuple[ca.SX, ...]:
-    """Compute the forces along and across the rail (N) and the moment about the normal (N m) on a wheel.
-
-    `load` is in N, the creepages are in -, -, 1/m, `slip_speed` in m/s; `rail` is the adhesion set. Linear force and
-    moment are reduced in the same ratio.
-
-    Source: Kalker 1967 (linear theory); Polach 2005, eqs. (2) and (3); Shen, Hedrick and Elkins 1983 (direction).
-    """
+    """Compute the forces along and across the rail (N) and the moment about the normal (N m) on a wheel, from load (N),
+    creepages (-, -, 1/m), slip speed (m/s) and adhesion set. Linear force and moment are reduced in the same ratio.
+    Source: Kalker 1967 (linear theory); Polach 2005, eqs. (2) and (3); Shen, Hedrick and Elkins 1983 (direction)."""
     law, unit, longer = vehicle.adhesion[rail], vehicle.contact.shear_modulus, (load + 1) / vehicle.contact.nominal_load
     along = unit * longer ** (2 / 3) * stiffness.along * nu_x
     across = unit * (longer ** (2 / 3) * stiffness.across * nu_y + longer * stiffness.spin * spin)
@@ -191,11 +180,9 @@ def _frame(get: dict, s: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 
 def _contact(vehicle: Vehicle, law: Callable, side: int, get: dict, cell, s, speed, axle, wheel) -> tuple[ca.SX, ...]:
-    """Contact of a wheel on a line-shaped rail, at the point of the rail that is deepest inside the wheel.
-
-    Returns force and torque about the wheel's centre (in space), normal force (N), adhesion, slip, lateral creepage
-    (-), contact angle (rad), and the position of the rail on the wheel (m).
-    """
+    """Contact of a wheel on a line-shaped rail, at the point of the rail that is deepest inside the wheel: force and
+    torque about the wheel's centre (in space), normal force (N), adhesion, slip, lateral creepage (-), contact angle
+    (rad), and the position of the rail on the wheel (m)."""
     (centre, velocity, turn), data = wheel, vehicle.contact
     half, variable = side * vehicle.gear.contact_base / 2, ca.SX.sym("s")
 
@@ -247,9 +234,7 @@ def _contact(vehicle: Vehicle, law: Callable, side: int, get: dict, cell, s, spe
 
 def _suspension(vehicle: Vehicle, end: int, body, gear) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Force on the running gear (the opposite acts on the body), and torques on both about their centres (in space).
-
-    Springs have the axes of the carrier and act on both bodies at the point of the body.
-    """
+    Springs have the axes of the carrier and act on both bodies at the point of the body."""
     d = vehicle.suspension
     (x_b, v_b, w_b, r_b), (x_g, v_g, w_g, r_g) = body, gear
     acting = []
@@ -285,14 +270,12 @@ def _suspension(vehicle: Vehicle, end: int, body, gear) -> tuple[ca.SX, ca.SX, c
 
 
 def forces(vehicle: Vehicle, law: Callable = creep) -> ca.Function:
-    """Build the function of all loads on the bodies, from their motion in space and a creep law like `creep`.
+    """Build the function of all loads on the bodies under a creep law like `creep`: (motion[18, 3], turns[3, 4],
+    stations[n, 2], cells[25, 4], s[2], tau[4]) -> loads[6, 7], s[2], `OBSERVED`.
 
-    Returns:
-        casadi.Function: (motion[18, 3], turns[3, 4], stations[n, 2], cells[25, 4], s[2], tau[4]) -> loads[6, 7], s[2],
-        `OBSERVED`. motion: position, velocity, angular velocity, rotation by columns of body and both running gears;
-        turns: angular velocities of the wheels; stations and s of the running gears, s a guess nearby; cells as of
-        `cells_at`; loads: force and torque about the centre of body, running gears, wheels.
-    """
+    motion: position, velocity, angular velocity, rotation by columns of body and both running gears; turns: angular
+    velocities of the wheels; stations and s of the running gears, s a guess nearby; cells as of `cells_at`; loads:
+    force and torque about the centre of body, running gears, wheels."""
     motion, turns = ca.SX.sym("motion", 18, 3), ca.SX.sym("turns", 3, 4)
     stations, guess, tau = ca.SX.sym("stations", len(_STATION), 2), ca.SX.sym("s", 2), ca.SX.sym("tau", 4)
     cells = ca.SX.sym("cells", 1 + 4 * len(_COLUMNS), 4)
@@ -364,10 +347,8 @@ class ExudynCar:
         self._mbs.Assemble()
 
     def _floating(self, vehicle: Vehicle, start, mass, inertia, spins) -> list:
-        """Add a rigid body on six joints to the ground with wheels on revolute joints; returns their markers.
-
-        `start` is x and z (m) and the speed along x (m/s).
-        """
+        """Add a rigid body on six joints to the ground, from `start` x, z (m) and speed along x (m/s), with wheels on
+        revolute joints; return their markers."""
         exu, joint, wheel, n = self._exu, self._exu.JointType, vehicle.wheel, 6 + len(spins)
         ends = np.array([-1, 1]) * vehicle.gear.contact_base / 2
         node = exu.itemInterface.NodeGenericODE2(
@@ -414,10 +395,8 @@ class ExudynCar:
         self._loads = loads.reshape(7, 6).tolist()
 
     def run(self, law: Callable, cycles: int, step: float = STEP) -> pd.DataFrame:
-        """Drive under law(number of the control cycle, observed) -> torque commands (4) for a cycle, or None to end.
-
-        A control cycle has a whole number of steps. Returns one row per cycle, columns `OBSERVED` (SI).
-        """
+        """Drive under law(number of the control cycle, observed) -> torque commands (4) for a cycle of a whole number
+        of steps, or None to end. Returns one row per cycle, columns `OBSERVED` (SI)."""
         self._command, self._before, self._since = np.zeros(4), np.zeros(4), 0.0
         per_cycle, log, count = round(CONTROL_PERIOD / step), [], 0
 

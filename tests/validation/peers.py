@@ -1,11 +1,9 @@
 """Peers of the recursion on the same problem: Ipopt, and sequential quadratic programming with qrqp.
 
-Both get the nonlinear program of `solvers.ipopt` with its functions as compiled C, the Hessian of the costs, the same
-start (the last solution, one sample later) and tolerances that lead to the same optimum, which `compare` measures. One
-call without Python objects in between is timed on the processor, several times; the least time counts.
-`python tests/validation/peers.py` writes data/results/peer_times.csv. Serves the paper's section Evaluation of Lateral
-Control (computation times).
-"""
+Both get the nonlinear program of `solvers.ipopt` as compiled C, the Hessian of the costs, the same start (the last
+solution, one sample later) and tolerances that lead to the same optimum, which `compare` measures. The least processor
+time of several calls without Python objects in between counts. As a script it writes data/results/peer_times.csv.
+Serves the paper's section Evaluation of Lateral Control (computation times)."""
 
 import time
 from dataclasses import replace
@@ -118,11 +116,9 @@ def solve_all(name: str, recording: speed.Recording) -> tuple[np.ndarray, np.nda
 
 
 def compare(recording: speed.Recording, vehicle: Vehicle, rounds: int = 3) -> pd.DataFrame:
-    """Solve one recording by all solvers, `rounds` times: a row of data/results/peer_times.csv per solver.
-
-    `error_du` is the largest difference from the torques of Ipopt, relative to the torque limit; `missed` counts the
-    problems with a difference above `SAME`.
-    """
+    """Solve one recording by all solvers, `rounds` times: a row of data/results/peer_times.csv per solver. `error_du`
+    is the largest difference from the torques of Ipopt over the torque limit; `missed` counts the problems with one
+    above `SAME`."""
     settings, found = recording.problems[0].settings, {name: [] for name in (OURS, *PEERS)}
     for _ in range(rounds):
         found[OURS].append(speed.solve_all("gauss_newton", recording, vehicle)[:2])

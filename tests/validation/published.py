@@ -1,9 +1,7 @@
 """Vehicles with published critical speeds, made from the project's car: a lab wheelset and Cooperrider's bogie.
 
-Each is the car with other data and its own contact table; some bodies are held or have further springs.
-`python tests/validation/published.py` writes data/results/published_vehicles.csv, which `15_car` shows. Serves the
-paper's section Simulation Environment.
-"""
+Each is the car with other data and its own contact table; some bodies are held or have further springs. As a script it
+writes data/results/published_vehicles.csv, which `15_car` shows. Serves the paper's section Simulation Environment."""
 
 import warnings
 from collections.abc import Callable
@@ -50,12 +48,9 @@ def critical_speed(matrix: Callable[[float], np.ndarray], low: float, high: floa
 
 
 def profile(vehicle: Vehicle, angle, rolling_radius, creep: float) -> ContactTable:
-    """Make a contact table from a profile and a creep stiffness, without forces and moments by spin.
-
-    `angle` is the tangent of the contact angle (-), a straight line, `rolling_radius` the rolling radius less the
-    nominal one (m), both functions of the shift (m) towards the flange. `creep` is the stiffness of a wheel at nominal
-    load, longitudinal and lateral (N).
-    """
+    """Make a contact table without forces and moments by spin. `angle` is the tangent of the contact angle (-), a
+    straight line, `rolling_radius` the rolling radius less the nominal one (m), both functions of the shift (m) towards
+    the flange; `creep` is the longitudinal and lateral stiffness of a wheel at nominal load (N)."""
     shift = (np.arange(-100, 101) - 0.25) * 1e-4  # zero inside a cell, where slopes have one value
     climb = shift * (angle(shift) + angle(0.0)) / 2
     coefficient = creep / (vehicle.contact.shear_modulus * _PATCH**2)
@@ -77,12 +72,10 @@ rail profile (m), contact angle (rad), creep coefficient of a wheel (N). Source:
 
 
 def lab_equations(speed: float, roll: float = 1.0) -> np.ndarray:
-    """State matrix of the lab wheelset at a speed (m/s): y, psi and their rates, shape (4, 4).
-
-    `roll` is 1 as published. With roll of the wheelset it is 1 + r0 delta0/d: conicity and lateral creepage grow by it,
-    gravity stiffness and lateral creep damping by its square. Source: Moore, EME 134 (University of California, Davis),
-    lab 1, equations of motion.
-    """
+    """State matrix of the lab wheelset at a speed (m/s): y, psi and their rates, shape (4, 4). `roll` is 1 as
+    published. With roll of the wheelset it is 1 + r0 delta0/d: conicity and lateral creepage grow by it, gravity
+    stiffness and lateral creep damping by its square. Source: Moore, EME 134 (University of California, Davis), lab 1,
+    equations of motion."""
     m, d, r0, k, load, wheel, rail, delta0, f = LAB.values()
     conicity, gravity, inertia = wheel * delta0 / (wheel - rail), 2 * load / (wheel - rail), m * d**2
     sway = [-(2 * k + gravity * roll**2) / m, 2 * f * roll / m, -2 * f * roll**2 / (speed * m), 0.0]
@@ -110,14 +103,11 @@ yaw (N m/rad), dampers vertical and lateral (N s/m)."""
 
 
 def cooperrider_bogie(speed: float) -> pd.DataFrame:
-    """State matrix of Cooperrider's bogie at a speed (m/s), with level contacts, as published.
-
-    The frame is the body of the car, the wheelsets are its running gears. The longitudinal creep stiffness enters only
-    as f11 d^2 and f11 d lambda, so f22 in its place with d and lambda multiplied by sqrt(f11/f22) gives the same
-    equations. The secondary springs and dampers go to a car body at rest.
-
-    Source: Cooperrider 1972; numbers as in Kaas-Petersen 1986 and the examples of bifurcation.de.
-    """
+    """State matrix of Cooperrider's bogie at a speed (m/s), with level contacts, as published. The frame is the body of
+    the car, with secondary springs and dampers to a car body at rest; the wheelsets are the running gears. The
+    longitudinal creep stiffness enters only as f11 d^2 and f11 d lambda, so f22 in its place with d and lambda
+    multiplied by sqrt(f11/f22) gives the same equations. Source: Cooperrider 1972; numbers as in Kaas-Petersen 1986 and
+    the examples of bifurcation.de."""
     f22 = BOGIE["f22"]
     share = np.sqrt(BOGIE["f11"] / f22)
     own = {"body.mass": 2918.0, "body.inertia_x": 6780.0, "body.inertia_z": 6780.0, "body.gear_spacing": 2 * 1.074}

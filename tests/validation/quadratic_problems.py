@@ -1,11 +1,9 @@
 """Six quadratic problems of the predictive controllers as files, and other solvers on them.
 
-`python tests/validation/quadratic_problems.py --write` drives the scenarios and writes the problems with their optimum
-into data/problems, whose README describes a file. Without `--write` all installed solvers solve these files (PIQP and
-Clarabel come with the group `bench`); their table goes to data/results/qp_times.csv. Settings are given here and not in
-data/tuned, so that the problems do not change with the tuning. Serves the paper's section Evaluation of Lateral Control
-(computation times).
-"""
+With `--write` the script drives the scenarios and writes the problems with their optimum into data/problems, whose
+README describes a file. Without it all installed solvers solve these files (PIQP and Clarabel come with the group
+`bench`), for data/results/qp_times.csv. Settings are given here and not in data/tuned, so that the problems do not
+change with the tuning. Serves the paper's section Evaluation of Lateral Control (computation times)."""
 
 import ctypes
 import io
@@ -80,10 +78,8 @@ def pose(case: Case) -> PredictiveController:
 
 
 def linearised(controller: PredictiveController) -> dict[str, np.ndarray]:
-    """Linearise the nonlinear program of `solvers.ipopt` along the trajectory of a controller: P, q, A, l, u, dense.
-
-    Unknowns and units are those of that program.
-    """
+    """Linearise the nonlinear program of `solvers.ipopt` along the trajectory of a controller: P, q, A, l, u, dense,
+    with the unknowns and units of that program."""
     h, s = controller.horizon, controller.settings
     program = ipopt.program(s.variant, s.discretisation, s.steps)
     x, p, f, g = (program[name] for name in "xpfg")
@@ -233,10 +229,8 @@ def _recursion_ms(name: str) -> float:
 
 
 def compare() -> pd.DataFrame:
-    """Solve the files by all installed solvers: a row of data/results/qp_times.csv per problem and solver.
-
-    Times exclude what may be prepared before a state is measured, for `daqp` also the elimination of the states.
-    """
+    """Solve the files by all installed solvers: a row of data/results/qp_times.csv per problem and solver. Times
+    exclude what may be prepared before a state is measured, for `daqp` also the elimination of the states."""
     rows = []
     for name in CASES:
         of, ours = read(name), _recursion_ms(name)

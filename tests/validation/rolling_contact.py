@@ -1,13 +1,11 @@
 """Rolling contact of half spaces on squares: the area of contact, and the creep forces of the patch.
 
 Of `railrepro.contact` only the profiles are used. Instead of an ellipse with Kalker's coefficients, the tractions of
-every square are solved from the condition that nothing slides, so that lobes, their ends and the rolling radius across
-the patch enter the forces. With friction (`Rolling.load`) this judges the creep law of the project. As a script it
-writes s1002_contact.csv (4 minutes), which judges the contact table of the project and is read by the second car.
-
-Source: Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact, chs. 3 and 4 (linear theory, half spaces);
-Johnson 1985, Contact Mechanics, section 3.6 (displacement under tangential load).
-"""
+every square are solved from the condition that nothing slides, so that the whole shape of the patch enters the forces.
+With friction (`Rolling.load`) this judges the creep law of the project. As a script it writes s1002_contact.csv (4
+minutes), which judges the contact table of the project and is read by the second car. Source: Kalker 1990,
+Three-Dimensional Elastic Bodies in Rolling Contact, chs. 3 and 4 (linear theory, half spaces); Johnson 1985, Contact
+Mechanics, section 3.6 (displacement under tangential load)."""
 
 from functools import lru_cache
 from itertools import product
@@ -58,10 +56,8 @@ def pressure(gap: np.ndarray, x: np.ndarray, y: np.ndarray, load: float, modulus
 
 
 class Rolling:
-    """Cells of a contact (centres, sides) and the slip under tractions on them, components along the rail first.
-
-    A particle in a cell was one cell ahead before, and slid by the change of its displacement.
-    """
+    """Cells of a contact (centres, sides) and the slip under tractions on them, components along the rail first. A
+    particle in a cell was one cell ahead before, and slid by the change of its displacement."""
 
     def __init__(self, x, y, sides, shear=SHEAR, poisson=POISSON):
         self.x, self.y, self.sides = x, y, sides
@@ -98,11 +94,8 @@ class Rolling:
 
 
 def sticking(x: np.ndarray, y: np.ndarray, slip: np.ndarray, poisson: float) -> np.ndarray:
-    """Compute forces along and across (m^2) and moment (m^3), over the shear modulus, of a patch without sliding.
-
-    x, y: squares (m), shape (n,); slip: rigid slip along and across over the speed in m cases, shape (m, 2, n). Returns
-    shape (m, 3).
-    """
+    """Compute forces along and across (m^2) and moment (m^3) over the shear modulus, shape (m, 3), of a patch of n
+    squares x, y (m) without sliding. `slip` is the rigid slip along and across over the speed, shape (m, 2, n)."""
     cells = Rolling(x, y, (SQUARE, SQUARE), 1.0, poisson)
     tractions = np.linalg.solve(cells.slip, -slip.reshape(len(slip), -1).T).T.reshape(slip.shape)
     forces = tractions.sum(axis=2)
@@ -178,11 +171,9 @@ def patch(shift: float, vehicle: Vehicle) -> Patch:
 
 
 def splines(frame: pd.DataFrame) -> CubicSpline:
-    """Effective radius less the nominal one (m), and `Patch` but the slope, over the position of the rail on the wheel.
-
-    The position counts from the tape circle outwards (m). Smoothing removes a percent of unevenness from the squares.
-    The effective radius is the integral of the slope, so that the normal force adds no energy.
-    """
+    """Effective radius less the nominal one (m), and `Patch` but the slope, over the position of the rail on the wheel,
+    from the tape circle outwards (m). Smoothing removes a percent of unevenness from the squares. The effective radius
+    is the integral of the slope, so that the normal force adds no energy."""
     place, columns = -frame["shift_m"].to_numpy()[::-1], frame[[*Patch._fields]].to_numpy()[::-1].T
     slope, *others = (make_smoothing_spline(1e3 * place, each, lam=_SMOOTHING)(1e3 * place) for each in columns)
     radius = CubicSpline(place, -slope).antiderivative()

@@ -1,8 +1,5 @@
-"""Second opinion on the car: the same runs with the equations of the project and in the multibody code Exudyn.
-
-`python tests/validation/second_opinion.py` writes data/results/second_opinion.csv; it needs the group `bench`. Serves
-the paper's section Simulation Environment.
-"""
+"""Second opinion on the car: the same runs with the equations of the project and in the multibody code Exudyn. As a
+script it writes data/results/second_opinion.csv (group `bench`). Serves the paper's section Simulation Environment."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -77,11 +74,9 @@ def record(case: Case, vehicle: Vehicle) -> tuple[pd.DataFrame, route.Route, Rai
 
 
 class _Guard:
-    """Replay of the recorded commands, plus (not for pulses) a low-gain feedback to the recorded path.
-
-    The free lateral motion is neutral, so differences would add up without it. The project's car at its usual step
-    repeats its record exactly; its feedback is zero.
-    """
+    """Replay of the recorded commands, plus (not for pulses) a low-gain feedback to the recorded path. The free lateral
+    motion is neutral, so differences would add up without it. The project's car at its usual step repeats its record
+    exactly; its feedback is zero."""
 
     def __init__(self, case: Case, series: pd.DataFrame, vehicle: Vehicle):
         self._pulled = series[[f"{gear}.tau_long" for gear in GEARS]].to_numpy()
@@ -105,11 +100,9 @@ class _Guard:
 
 
 def replay(case: Case, law: Callable = exudyn_car.creep) -> dict[str, pd.DataFrame]:
-    """Drive both cars on cones through a case; `law` is the creep law of the Exudyn car.
-
-    Returns "exudyn", and the project's car by its step in ms, "1" and "0.05"; one row per cycle, `MEASURED` (SI) and
-    the differential torque commands `GUIDED` with the feedback (N m).
-    """
+    """Drive both cars on cones through a case; `law` is the creep law of the Exudyn car. Returns "exudyn", and the
+    project's car by its step in ms, "1" and "0.05"; one row per cycle, `MEASURED` (SI) and the differential torque
+    commands `GUIDED` with the feedback (N m)."""
     vehicle = load_vehicle(**{"contact.profile": "cone"})
     series, way, rails = record(case, vehicle)
     speed = series["front.v"].iloc[0]
@@ -125,12 +118,10 @@ def replay(case: Case, law: Callable = exudyn_car.creep) -> dict[str, pd.DataFra
 
 
 def compare(name: str, runs: dict[str, pd.DataFrame]) -> pd.DataFrame:
-    """Compare the two cars in the runs of `replay`, for each quantity on its worst running gear or wheel.
-
-    Columns case, car_step_ms, quantity, largest (value of the project's signal), difference (largest), relative (their
-    ratio), beyond (share of samples that differ by more than `AGREEMENT`), rms (of the difference), step_error (largest
-    difference of the project's own two runs over `largest`), unit.
-    """
+    """Compare the two cars in the runs of `replay`, for each quantity on its worst running gear or wheel. `largest` is
+    the largest value of the project's signal, `difference` the largest difference, `relative` their ratio, `beyond` the
+    share of samples that differ by more than `AGREEMENT`, `step_error` the largest difference of the project's own two
+    runs over `largest`."""
     rows, theirs = [], _signals(runs["exudyn"])
     steps = {key: _signals(runs[key]) for key in ("1", "0.05")}
     for step, ours in steps.items():

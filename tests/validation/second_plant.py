@@ -1,12 +1,10 @@
 """The project's controllers on the independent car in Exudyn, on S1002 wheels, in closed loop.
 
-`python tests/validation/second_plant.py` drives both cars through the scenarios of Figs. 6 to 9 under the paper's
-controllers with the tuned sets of the setting `paper`, probes both for the statements, and writes
-data/results/second_plant.csv and second_plant_verdicts.csv (half an hour); it needs the group `bench`. The 1 kHz law
-with allocation and adhesion law is the project's; bodies, integrator, rails, contact and creep are not (`exudyn_car`).
-
-Serves the paper's section Multi-Body Simulation Results.
-"""
+As a script it drives both cars through the scenarios of Figs. 6 to 9 under the paper's controllers with the tuned sets
+of the setting `paper`, probes both for the statements, and writes data/results/second_plant.csv and
+second_plant_verdicts.csv (half an hour, group `bench`). The 1 kHz law with allocation and adhesion law is the
+project's; bodies, integrator, rails, contact and creep are not (`exudyn_car`). Serves the paper's section Multi-Body
+Simulation Results."""
 
 import os
 from concurrent.futures import ProcessPoolExecutor
