@@ -6,13 +6,14 @@ Install gymnasium, copy this file, and change observation and reward as you like
     observation, info = env.reset(seed=1)
     observation, reward, terminated, truncated, info = env.step([0.02, -0.01])
 
-Observation, `Box(21,)`, numbers of order one: ten numbers per gear (front, rear) and the speed / (100 m/s). The ten are
-the lateral error y* - y / (1 mm), the slope of the set point minus the yaw angle relative to the track / (1 mrad), the
-yaw rate relative to the track / (10 mrad/s), the last torque / its limit, and at the three times `AHEAD` the set point
-minus y / (1 mm) and the unbalanced lateral acceleration / (1 m/s2).
-Action, `Box(2,)` in [-1, 1]: torque of the front and the rear gear / torque limit; positive steers to the right.
-Reward of a step: -T min(WORST, mean over the gears of (error / 1 mm)^2 + EFFORT (torque / 1 kN m)^2) with T = 5 ms. A
-step that derails costs WORST for the rest of the episode, so that an early end does not pay.
+Observation, `Box(21,)`, numbers of order one: ten numbers per running gear (front, rear) and the speed / (100 m/s). The
+ten numbers are the lateral error (y* - y) / (1 mm), the slope of the set point minus the yaw angle to the track
+/ (1 mrad), the yaw rate relative to the track / (10 mrad/s), the last torque / its limit, the set point minus y
+/ (1 mm) at the three times `AHEAD`, and the unbalanced lateral acceleration / (1 m/s2) at the same times.
+Action, `Box(2,)` in [-1, 1]: differential torques of the front and the rear running gear / torque limit; a positive
+torque steers to the right.
+Reward of a step: -T min(WORST, mean over running gears of (error / 1 mm)^2 + EFFORT (torque / 1 kN m)^2), T = 5 ms. A
+step that derails costs WORST for the rest of the episode, so that an early end brings no advantage.
 """
 
 from __future__ import annotations
@@ -36,13 +37,13 @@ CYCLES, STEP = 5, 0.005
 AHEAD = (0.1, 0.2, 0.4)
 """Times ahead at which track and set point are observed (s)."""
 EFFORT, WORST = 0.1, 100.0
-"""Weight of the torque; largest cost per second, which is that of an error of 10 mm."""
+"""Weight of the torque; largest cost per second, equal to the cost of an error of 10 mm."""
 OFFSET = 1e-3
 """Largest lateral displacement at the start (m)."""
 
 
 class GuidanceEnv(gymnasium.Env):
-    """The car in a scenario of data/scenarios.toml. With `sensors` it has noise, latency and state estimation."""
+    """The car in a scenario of data/scenarios.toml. With `sensors`: noise, latency and state estimation."""
 
     metadata = {"render_modes": []}
 
@@ -57,7 +58,7 @@ class GuidanceEnv(gymnasium.Env):
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(GEARS),), np.float32)
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
-        """Begin an episode. The initial positions of the gears and the noise of the sensors follow from the seed."""
+        """Begin an episode. The seed determines the initial positions of the running gears and the sensor noise."""
         super().reset(seed=seed)
         noisy = readings(seed=int(self.np_random.integers(2**31))) if self.sensors else None
         cars = self.vehicle, self.vehicle
@@ -91,7 +92,7 @@ class GuidanceEnv(gymnasium.Env):
         return bool(self.loop.ended or self.duration - self.time < STEP / 2)
 
     def _states(self) -> np.ndarray:
-        """States of both gears, shape (2, 6), SI. With sensors they are estimates, except at the start."""
+        """States of both running gears, shape (2, 6), SI. With sensors they are estimates, except at the start."""
         loop = self.loop
         if self.sensors and self.time:
             known = dict(zip(loop.control.signature.memory, loop.memory, strict=True))
@@ -100,7 +101,7 @@ class GuidanceEnv(gymnasium.Env):
         return np.array([[known[f"{gear}.{name}"] for name in names(GearStates)] for gear in GEARS])
 
     def _info(self) -> dict:
-        """Lateral error (m) and torque (N m) of both gears, position on the track (m), speed (m/s) and time (s)."""
+        """Lateral error (m) and torque (N m) of both running gears; front position (m), speed (m/s); time (s)."""
         x, torque = self._states(), self.loop.held.copy()
         error = np.array([self.route.reference_at(gear[X])[0].item() - gear[Y] for gear in x])
         return {"error": error, "torque": torque, "p": x[0, X], "v": x[0, XDOT], "time": self.time}
@@ -111,7 +112,7 @@ class GuidanceEnv(gymnasium.Env):
         return np.append(gears, x[0, XDOT] / 100).astype(np.float32)
 
     def _of_gear(self, x, utilisation: float) -> np.ndarray:
-        """The ten numbers of a gear with state x (SI) and its last torque / torque limit."""
+        """The ten numbers of a running gear with state x (SI) and its last torque / torque limit."""
         ends = self.route.start, self.route.start + self.route.length
         places = np.clip(np.nan_to_num(x[X] + x[XDOT] * np.array([0.0, *AHEAD])), *ends)
         y_ref, slope, _ = self.route.reference_at(places)

@@ -1,8 +1,8 @@
-"""The smallest controller: one class with one method, which uses only position and set point.
+"""The smallest controller: one class whose only method uses only position and set point.
 
-It feeds back the error, its integral and two filtered derivatives. `q` has the quantities that
-`railrepro/control/lateral.py` lists and the memory of the law, which starts at 0. Each millisecond the law returns the
-differential torque and the next memory.
+It feeds back the error, its integral and two filtered derivatives. `q` has the memory of the law, which starts at 0,
+and the quantities that `railrepro/control/lateral.py` lists. Each millisecond the law returns the differential torque
+and the next memory.
 """
 
 

@@ -1,6 +1,6 @@
-"""Template of your own controller: a PID law of the lateral error at 1 kHz.
+"""Template for your own controller: a PID law for the lateral error at 1 kHz.
 
-`make score CONTROLLER=examples/pid.py` scores it. The file contains one class. railrepro/control/lateral.py lists the
+`make score CONTROLLER=examples/pid.py` scores it. The file contains one class. `railrepro/control/lateral.py` lists the
 quantities of running gear, track and nominal vehicle that the law may use.
 """
 
