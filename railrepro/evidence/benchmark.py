@@ -79,9 +79,9 @@ def cases(seed: int, names: Sequence[str] | None = None) -> list[Experiment]:
     """Make the runs of the suite, as experiments without guidance into which `drive` puts a controller.
 
     Each run occurs in both settings: in "paper" with exact measurements, in "loop" with sensors. `seed` (0 to 2^31)
-    determines sensor noise and biases, irregularities and the values of the parameters `MISMATCH`. `names` selects runs
-    by name, as "curve_T3" (default all); InputError for an unknown one. Labels of an experiment are scenario (name of
-    the run), setting and group; runs of one group count as one in the score.
+    determines sensor noise and biases, irregularities and, in two runs, parameters of the car (`MISMATCH`). `names`
+    selects runs by name, as "curve_T3" (default all); InputError for an unknown one. Labels of an experiment are
+    scenario (name of the run), setting and group; runs of one group count as one in the score.
     """
     suite, runs = [], _runs(seed)
     known = [name for name, *_ in runs]
@@ -127,7 +127,8 @@ def _runs(seed: int) -> list[tuple[str, str, int, Scenario, dict]]:
 
 
 def entry(controller: str) -> str | Path:
-    """Check the controller to score and return a registered name as it is, a file as resolved path; else InputError."""
+    """Check the controller to score: a name in `registry.CONTROLLERS` is returned as it is, the path of a Python file
+    is resolved; InputError for all else."""
     if controller in CONTROLLERS:
         return controller
     file, known = data.location(controller), [*CONTROLLERS]
@@ -137,8 +138,8 @@ def entry(controller: str) -> str | Path:
 
 
 def ranked_seeds(of: str | Path) -> tuple[int, ...]:
-    """Seeds that rank a controller of `entry`: `RANKED` for a registered name, else as many from the file's SHA-256.
-    The seeds of a file are unknown before its last change; its line endings do not count."""
+    """Random seeds of the suites whose scores rank a controller from `entry`: `RANKED` for a registered name, else five
+    from the SHA-256 of the file, unknown before its last change; its line endings do not count."""
     if isinstance(of, str):
         return RANKED
     digest = hashlib.sha256(_SALT + of.read_bytes().replace(b"\r\n", b"\n")).digest()
@@ -162,9 +163,9 @@ def load_class(file: Path) -> type:
 
 
 def make_guidance(controller: type, settings: Mapping[str, float]) -> lateral.Guidance:
-    """Make the guidance for `simulate.run` from a user's controller class and its keyword arguments `settings`. It is
-    the object controller(**settings). For a class with `plan` it is a factory, which makes one object
-    controller(vehicle, route, gear, **settings) per gear, on the route of `known_route`."""
+    """Make the guidance for `simulate.run` from a user's controller class and its keyword arguments `settings`: the
+    object controller(**settings), or for a class with `plan` a factory, which makes one object controller(vehicle,
+    route, gear, **settings) per gear, on a route without irregularities and poor adhesion (`known_route`)."""
     if not hasattr(controller, "plan"):
         return controller(**settings)
     return lambda vehicle, route, gear: controller(vehicle, known_route(route), gear, **settings)
@@ -180,10 +181,10 @@ def known_route(route: Route) -> Route:
 def drive(of: str | Path | type, case: Experiment) -> dict:
     """Simulate a run of `cases` under a controller and return its row, a dict.
 
-    `of` is a key of `registry.CONTROLLERS`, a class or a file, which `executor.work` loads and runs. The row has the
-    labels of the run, controller (name), failure (one sentence, "" for a good run) and the metrics (SI). A run whose
-    controller raises an error has no metrics. InputError when a file ended its process or took longer than `LIMIT`;
-    that needs `apart` of `executor.ordered_map`.
+    `of` is a key of `registry.CONTROLLERS`, a class or a file, which a process loads and runs. The row has the labels
+    of the run, controller (name), failure (one sentence, "" for a good run) and the metrics (SI, see `METRICS`). A run
+    whose controller raises an error has no metrics. InputError when a file ended its process or took longer than 600 s,
+    if the run is started by `executor.ordered_map` with apart=True.
     """
     head = case.label | {"controller": name_of(of), "failure": ""}
     if isinstance(of, Path):
@@ -249,7 +250,7 @@ def cost(row: dict) -> float:
 
 
 def points(row: dict) -> float:
-    """Points (0 to 100) of a run from its row of `drive` joined with the dict of `ends_of_the_scale`."""
+    """Points (0 to 100) of a run from one dict with its row of `drive` and the costs of `ends_of_the_scale`."""
     if row["failure"]:
         return 0.0
     q, nothing, best = (1 / (1 + value) for value in (cost(row), row["nothing"], row["best"]))
@@ -305,9 +306,10 @@ def card(table: pd.DataFrame) -> pd.DataFrame:
     """Summarise a table of `score`: one row per seed, setting and metric.
 
     Columns scenario (always "all"), controller, metric, value, unit, setting, seed. Metrics of all runs: score, mean
-    points, for which the group `MARGINS` counts as one run; margins, mean points of that group; cases, number of runs.
-    Metrics of the runs outside of `MARGINS`: failures, number of failed runs; each of `METRICS`, the largest value of
-    wheel and track forces, the mean of others. The setting "all" has only the mean score of both settings.
+    points, for which the runs with more delay or a slower drive (group "margins") count as one; margins, mean points of
+    that group; cases, number of runs. Metrics of the other runs: failures, number of failed runs; each of `METRICS`,
+    the largest value of wheel and track forces, the mean of others. The setting "all" has only the mean score of both
+    settings.
     """
     rows = []
     for (seed, name), draw in table.groupby(["seed", "controller"], sort=False):
@@ -333,9 +335,10 @@ def _sums(rows: pd.DataFrame) -> dict[str, float]:
 def ranking(cards: pd.DataFrame) -> pd.DataFrame:
     """Rank controllers by their `card` tables, one below the other: one row per controller, the best first.
 
-    All values are means over the seeds other than `PUBLISHED`. Columns: ranked, score over both settings; spread,
-    standard deviation of ranked between seeds; paper and loop, score per setting; margins (all 0 to 100); "runs
-    failed", number per seed; with sensors "error (mm), loop", "limit (mm), loop" and "torque (N m), loop" (RMS).
+    All values are means over seeds, without that for development (`PUBLISHED`). Columns: ranked, score over both
+    settings; spread, standard deviation of ranked between seeds; paper and loop, score per setting; margins (all 0 to
+    100); "runs failed", number per seed; with sensors "error (mm), loop", "limit (mm), loop" and "torque (N m), loop"
+    (RMS).
     """
     cards = cards[cards["seed"] != PUBLISHED]
     totals = cards[(cards["setting"] == ALL) & (cards["metric"] == "score")].groupby("controller")["value"]
@@ -350,9 +353,9 @@ def ranking(cards: pd.DataFrame) -> pd.DataFrame:
 def tuning_cost(of: type, setting: str, runs: Sequence[str]) -> Callable[[list[dict], list[float]], list[float]]:
     """Make the cost function with which `swarm.minimise` tunes a controller class `of`.
 
-    `runs` are names of runs in data/tuning.toml for the `setting`. The function takes a list of dicts of gains and a
-    list of limits, and returns per dict the mean of `run_cost` over the runs (-). Once a cost is above its limit, the
-    remaining runs are left out: the cost is then a lower bound.
+    `runs` are names of runs in data/tuning.toml for the `setting`, "paper" or "loop". The function takes a list of
+    dicts of gains and a list of limits, and returns per dict the mean cost over the runs (-). Once a cost is above its
+    limit, the remaining runs are left out: the cost is then a lower bound.
     """
     name, task = _registered(of), load_task(setting=setting)
     chosen = replace(task, runs={each: task.runs[each] for each in task.runs if each in runs})
@@ -395,9 +398,10 @@ def main(controller: str, seed: int = PUBLISHED, ranked: bool = False) -> None:
 
 
 def leaderboard() -> None:
-    """Command `leaderboard`: score `SHOWN`, no guidance and two of examples/ on 6 seeds. Writes `LEADERBOARD` (tables
-    of `card`) and prints the `ranking`. Inversions have the poles of the swarm in both settings, as the other
-    controllers have its weights."""
+    """Command `leaderboard`: score the controllers of the library, a car without guidance and two examples of own
+    controllers (examples/only_y.py, pid.py) with six seeds each. Writes data/results/leaderboard.csv, a row per
+    controller, seed, setting and metric (columns as of `card`), and prints the `ranking`. The poles of nonlinear
+    dynamic inversion are, like the weights of NMPC, those that the particle swarm found, in both settings."""
     shown = [f"{name}_swarm" if name in INVERSIONS else name for name in SHOWN]
     entries = [*shown, NOTHING, *(paths.ROOT / f"examples/{name}.py" for name in ("only_y", "pid"))]
     cards = pd.concat([card(score(of, (PUBLISHED, *RANKED))) for of in entries], ignore_index=True)

@@ -14,7 +14,7 @@ __all__ = ["calibrated", "figures", "sentences", "source"]
 
 
 def source(*of: Callable) -> None:
-    """Display the source code of functions or classes of the library without their docstrings."""
+    """Display the source code of functions or classes of the library, without docstrings, in a notebook."""
     from IPython.display import Markdown, display  # not needed outside of notebooks
 
     for each in of:

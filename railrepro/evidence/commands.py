@@ -72,7 +72,7 @@ def _print(text: str) -> None:
 
 
 def end(code: int) -> NoReturn:
-    """Kill all child processes of this process, and end this process at once with the exit code `code`."""
+    """Kill all child processes of this process, then end it at once with the exit code `code`, without clean-up."""
     import psutil
 
     for process in psutil.Process().children(recursive=True):
@@ -83,7 +83,8 @@ def end(code: int) -> NoReturn:
 
 
 def end_with(leader: int) -> None:
-    """Wait until the process with the id `leader` (make) has ended, then `end` this process with the exit code 1."""
+    """Wait until the process with the id `leader` has ended, then `end` this process with the exit code 1. Thus a
+    command that `make` started does not outlive it."""
     import psutil
 
     with suppress(psutil.NoSuchProcess):
@@ -125,7 +126,7 @@ _CALLS = {
 
 
 def parser() -> argparse.ArgumentParser:
-    """Parser of the command line; the parsed argument `call` is the function of the command as "module:name"."""
+    """Make the parser of the command line; its results have the argument `call`, the function as "module:name"."""
     description = "Model predictive control of railway running gears, replicated."
     top = _Parser(prog="python -m railrepro", description=description)
     commands, added = top.add_subparsers(required=True, metavar="COMMAND"), {}

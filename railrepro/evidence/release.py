@@ -29,9 +29,9 @@ FIGURES = {
 
 
 def exchanged(scenario: Scenario, controller: str) -> pd.DataFrame:
-    """Simulate a controller with its tuned set of the setting `paper`; returns one row per millisecond. `controller` is
-    a key of `registry.CONTROLLERS` or `TEN_TIMES`. Columns: t_s (s), torque commands of the wheels as inputs of the FMU
-    (N m), lateral displacements front.y and rear.y (m)."""
+    """Simulate a controller with the parameters tuned for perfect measurements; returns one row per millisecond.
+    `controller` is a key of `registry.CONTROLLERS` or "nmpc_r10" (R of NMPC times 10). Columns: t_s (s), torque
+    commands of the wheels as inputs of the FMU (N m), lateral displacements front.y and rear.y (m)."""
     name, factor = ("nmpc", 10.0) if controller == TEN_TIMES else (controller, 1.0)
     tuned = parameters(name)
     series = Experiment(scenario, name, parameters=with_r_times(tuned, factor) if "r" in tuned else tuned).run().series
@@ -43,7 +43,8 @@ def exchanged(scenario: Scenario, controller: str) -> pd.DataFrame:
 
 
 def write_runs(folder: Path) -> list[Path]:
-    """Write FIGURE_car.fmu and FIGURE_CONTROLLER.csv (`exchanged`) per figure of `FIGURES` to a folder; their paths."""
+    """Write to a folder per figure (6 to 9) FIGURE_car.fmu, the car on its route, and FIGURE_CONTROLLER.csv, the runs
+    as by `exchanged`; returns their paths."""
     folder.mkdir(parents=True, exist_ok=True)
     files = []
     for figure, (driven, controllers) in FIGURES.items():
@@ -56,7 +57,8 @@ def write_runs(folder: Path) -> list[Path]:
 
 
 def main() -> None:
-    """Command `release`: write build/railrepro-VERSION.tar.gz; InputError when a committed file was edited."""
+    """Command `release`: write build/railrepro-VERSION.tar.gz, the committed files and the runs of Figs. 6 to 9
+    (`write_runs`); InputError when a committed file was edited."""
     root, name = paths.ROOT, f"railrepro-{__version__}"
     if subprocess.run(["git", "-C", root, "diff", "--quiet", "HEAD"]).returncode:
         raise InputError("release: there are uncommitted changes, or this is no git repository")

@@ -35,7 +35,8 @@ KINDS = ("ipopt", "gauss_newton", "rti", "ltv_mpc")
 
 
 class Recording(NamedTuple):
-    """Successive optimal control problems of the NMPC of the front gear in a scenario, with its name and route."""
+    """Successive optimal control problems (`problems`) that NMPC had to solve for the front running gear in a simulated
+    scenario, with the name of the scenario and its route."""
 
     scenario: str
     route: Route
@@ -43,21 +44,22 @@ class Recording(NamedTuple):
 
 
 class Recorder(NMPC):
-    """NMPC that records each optimal control problem in its list `problems` before it solves it."""
+    """NMPC that appends each optimal control problem to its list `problems` before it solves it, for `record`."""
 
     def __init__(self, *arguments) -> None:
         super().__init__(*arguments)
         self.problems: list[Problem] = []
 
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
-        """Record the problem, then plan as `NMPC.plan`."""
+        """Record the problem for a gear with state `x_hat` (shape (6,), SI) and base torque `u_d` per wheel (N m), then
+        solve it; returns the differential torque (N m)."""
         self.problems.append(self.problem(x_hat, u_d))
         return super().plan(x_hat, u_d)
 
 
 def record(name: str, settings: MPCSettings, vehicle: Vehicle, count: int = 32) -> Recording:
-    """Simulate a scenario under NMPC with `settings` and record `count` problems from the middle of the run on. `name`
-    is the scenario in data/scenarios.toml; braking ends after 500 m."""
+    """Simulate a scenario under NMPC with `settings` and return `count` successive problems from the middle of the run
+    on. `name` is the scenario in data/scenarios.toml; braking ends after 500 m."""
     scenario = scenarios.load_scenario(name)
     if name == "braking":
         scenario = scenario.but(end_m=500.0)
@@ -116,9 +118,9 @@ def solve_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
 
 
 def horizon_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
-    """Solution times on curve entry T3 for horizons of 10 to 160 steps: one row per solver and length of the horizon.
-    `settings` are those of NMPC except steps. Columns solver, steps, and per problem median_ms and iterations_median.
-    """
+    """Measure solution times on curve entry T3 for horizons of 10 to 160 steps: one row per solver and length.
+    `settings` are those of NMPC except steps. Columns solver; steps; median_ms, time per problem (ms);
+    iterations_median."""
     rows = []
     for steps in tqdm((10, 20, 40, 80, 160), desc="horizons", unit="length"):
         recording = record("curve_entry_T3", replace(settings, steps=steps), vehicle, count=12)
@@ -132,9 +134,9 @@ def horizon_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
 def study_times(
     controllers: Sequence[str] = ("ndi", "nmpc"), settings: Sequence[str] = (PAPER, LOOP), repeats: int = 5
 ) -> pd.DataFrame:
-    """Measure the processor time of the runs of a tuning task without the store: one row per controller and setting.
-    Columns: setting; controller; run_ms and loop_ms, time of a run and of its compiled loop (ms), the mean over the
-    runs of the median of `repeats`; ratio of both (-)."""
+    """Measure the processor time of the runs by which a controller is tuned, without stored results: one row per
+    controller and setting. Columns: setting; controller; run_ms and loop_ms, time of a run and of the compiled loop in
+    it (ms), the mean over the runs of the median of `repeats`; ratio of both (-)."""
     rows = []
     for setting, controller in product(settings, controllers):
         task, quick, tuned = load_task(setting=setting), CONTROLLERS[controller].quick, parameters(controller, setting)
@@ -171,7 +173,9 @@ def machine() -> str:
 
 
 def main() -> None:
-    """Command `bench`: write solve_times.csv and horizon_times.csv (setting "paper"), print them and `study_times`."""
+    """Command `bench`: measure computation times and write two tables to data/results: solve_times.csv, a row per
+    solver, scenario and setting, and horizon_times.csv, a row per solver and horizon. Prints both, and `study_times`.
+    """
     vehicle, of = load_vehicle(), {name: mpc_settings(parameters("nmpc", name)) for name in SETTINGS}
     solvers = pd.concat([solve_times(vehicle, settings).assign(setting=name) for name, settings in of.items()])
     tables = {"solve_times": solvers, "horizon_times": horizon_times(vehicle, of[PAPER])}

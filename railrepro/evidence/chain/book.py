@@ -15,9 +15,9 @@ _SAVED = re.compile(r"save_figure\([^\n]*?[\"'](fig\d{2,4}_\w+)[\"']")
 
 
 def html() -> Path:
-    """Make the book in build/html from the executed notebooks; returns the path of its first page. Notebooks without an
-    executed copy are run first; stale ones are shown as last executed. InputError when a notebook fails, Sphinx warns
-    or its packages are missing."""
+    """Command `html`: make the book in build/html from the executed notebooks; returns the path of its first page.
+    Notebooks without an executed copy are run first; stale ones are shown as last executed. InputError when a notebook
+    fails, Sphinx warns or its packages are missing."""
     absent = [notebook.name for notebook in chain().values() if not notebook.executed.exists()]
     if absent and figures(absent):
         raise data.InputError("the book needs every notebook executed, see the lines above")
@@ -39,7 +39,8 @@ def html() -> Path:
 
 
 def chapter(notebook: Notebook) -> dict:
-    """Page of the book (dict of nbformat) from an executed notebook: numbered title, links to chapters, captions."""
+    """Make a page of the book from an executed notebook: its nbformat dict with a numbered title, links to other
+    chapters and captions of figures."""
     content, captions = data.read(notebook.executed), data.read(paths.NOTEBOOKS / "book/captions.toml")
     cells: list[dict] = []
     for cell in content["cells"]:

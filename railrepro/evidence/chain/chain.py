@@ -37,7 +37,7 @@ EDITED = "an input was edited while it ran"
 
 @data.table
 class Notebook:
-    """Notebook of the chain, an entry of notebooks/chain.toml.
+    """Notebook of the chain, a table [[notebook]] in notebooks/chain.toml.
 
     `name` is its file name without ending, `writes` has the paths of its tables, `figures` the names of its figures
     (figNN_name), `parameters` the values of its parameters cell, and `test_parameters` other values for tests.
@@ -72,12 +72,13 @@ class Notebook:
 
     @property
     def stamp(self) -> Path:
-        """Path of the record of the notebook's last successful run, see `last_run`."""
+        """Path of the JSON file with the record of the notebook's last successful run, see `last_run`."""
         return paths.BUILD / "stamps" / f"{self.name}.json"
 
 
 class Ran(NamedTuple):
-    """Result of a run of a notebook: what it read, its run time (min), and the peak memory of its processes (GB)."""
+    """Result of a run of a notebook: files that it read (path -> names of the tables read, of a TOML file), its run
+    time (min), and the peak memory of its processes (GB)."""
 
     reads: Reads
     minutes: float
@@ -86,14 +87,14 @@ class Ran(NamedTuple):
 
 @data.table
 class Chain:
-    """Content of notebooks/chain.toml: all notebooks in order, and the tolerances of `verify`."""
+    """Content of notebooks/chain.toml: all notebooks in order, and tolerances for the comparison of two runs."""
 
     notebook: tuple[Notebook, ...] = ()
     verify: compare.Tolerance = compare.Tolerance()
 
 
 def load(path: Path | str | None = None) -> Chain:
-    """Read the chain of notebooks from a TOML file (default notebooks/chain.toml); InputError for wrong entries."""
+    """Read all notebooks from a TOML file (default notebooks/chain.toml); InputError if something in it is wrong."""
     file = data.location(path, paths.NOTEBOOKS / "chain.toml")
     return data.build(Chain, data.read(file), file.name)
 
@@ -118,9 +119,9 @@ def _content(file: str) -> bytes:
 
 
 def inputs(notebook: Notebook, taken: Reads) -> dict[str, str]:
-    """Present state of the inputs of a notebook, except the machine (`store.machine`): name -> hash or version. Inputs
-    are its cells, its parameters, files that it read, packages, and modules of railrepro that it can import. `taken`
-    maps files to the entries that its last run read from them, as returned by `run`."""
+    """Present state of what the results of a notebook depend on, except the machine: name -> hash or version. This is
+    its cells, its parameters, files that it read, packages, and modules of railrepro that it can import. `taken` maps
+    files to the tables that its last run read from them (`Ran.reads`)."""
     cells = data.read(notebook.path)["cells"]
     state = {"its cells": _hash(json.dumps(["".join(cell["source"]) for cell in cells]).encode())}
     state["its parameters"] = _hash(json.dumps(notebook.parameters, sort_keys=True).encode())
@@ -149,8 +150,8 @@ def _products(notebook: Notebook) -> dict[str, str]:
 
 
 def last_run(notebook: Notebook) -> dict[str, dict]:
-    """Record of the last successful run of a notebook in this checkout; {} if there is none. Keys: reads, minutes and
-    memory_gb as in `Ran`; inputs (their state then, see `inputs`); machine (`store.machine`); products (path of each
+    """Read the record of a notebook's last successful run in this checkout; {} if there is none. Keys: reads, minutes
+    and memory_gb as in `Ran`; inputs (their state then, see `inputs`); machine (name -> value); products (path of each
     written file -> SHA-256)."""
     with suppress(InputError):
         return data.read(notebook.stamp)
@@ -158,7 +159,7 @@ def last_run(notebook: Notebook) -> dict[str, dict]:
 
 
 def why_stale(notebook: Notebook) -> str:
-    """Why a notebook must run again: the first input or product that changed since its last run; "" if none did."""
+    """Say why a notebook must run again: the first input or product that changed since its last run; "" if none did."""
     last = last_run(notebook)
     if not last:
         return "it has not run here"

@@ -15,8 +15,8 @@ _SHARE = Annotated[data.Number, data.between(0.0, 1.0)]
 
 @data.table
 class Own:
-    """Tolerance for one column of a table, an entry [[verify.own]] of notebooks/chain.toml. `table` is a file name,
-    `rows` a query of pandas for the rows, `relative` the tolerance (-), `why` its reason."""
+    """Tolerance for one `column` of a table, an item [[verify.own]] of notebooks/chain.toml. `table` is a file name,
+    `rows` a query of pandas that selects rows, `relative` the tolerance (-), `why` its reason."""
 
     table: str
     column: str
@@ -27,9 +27,9 @@ class Own:
 
 @data.table
 class Tolerance:
-    """Tolerances for the comparison of two runs, the table [verify] of notebooks/chain.toml. `relative` is for tables
-    (-), `image_rms` for images (RMS, grey levels of 255), `own` for single columns. Columns in `not_compared`
-    (computation times) may differ by any amount."""
+    """Tolerances for the comparison of two runs, the table [verify] of notebooks/chain.toml. `relative` is for numbers
+    of tables (-), `image_rms` for images (RMS, grey levels of 255), `own` for single columns of tables. Columns in
+    `not_compared` (computation times) may differ by any amount."""
 
     relative: _SHARE = 0.0
     image_rms: Annotated[data.Number, data.between(0.0, 255.0, "grey levels")] = 0.0
@@ -38,11 +38,11 @@ class Tolerance:
 
 
 def compare(committed: Path, rerun: Path, tolerance: Tolerance) -> pd.DataFrame:
-    """Compare two tables (csv) or two images (png): one row per entry of a table, one row for an image.
+    """Compare two tables (csv) or two images (png): one row per cell of a table, one row for an image.
 
-    Columns: name, the column with its metric, or in words what differs; apart, the difference (-); outcome, one of
-    `OUTCOMES`. In tables `apart` is relative to the largest magnitude under the same name, in images it is the RMS of
-    the levels, white being 1. A missing file, or another shape, is one row with `apart` inf.
+    Columns: name, the column with its metric, or in words what differs; apart, the difference (-); outcome, "same",
+    "within tolerance" or "different". In tables `apart` is relative to the largest magnitude under the same name, in
+    images it is the RMS of the levels, white being 1. A missing file, or another shape, is one row with `apart` inf.
     """
     for path in (committed, rerun):
         if not path.exists():
@@ -60,7 +60,7 @@ def compare(committed: Path, rerun: Path, tolerance: Tolerance) -> pd.DataFrame:
 
 
 def summary(entries: pd.DataFrame) -> str:
-    """Number of entries per outcome and largest difference, as text, from a table of `compare`."""
+    """Text with the number of cells per outcome and the largest difference, from a table of `compare`."""
     text = ", ".join(f"{(entries['outcome'] == outcome).sum()} {outcome}" for outcome in OUTCOMES)
     if entries["apart"].max() > 0:
         worst = entries.iloc[entries["apart"].argmax()]

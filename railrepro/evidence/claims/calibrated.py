@@ -31,13 +31,12 @@ R_FACTORS = (0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0)
 
 @data.table
 class Choice:
-    """Choice of one parameter for the calibrated car, an entry of data/paper_like.toml.
-
-    `nominal` is the value of the uncalibrated car in the setting `paper`, `value` the value of the calibrated car, a
-    number, text or list in `unit`. `range` is the range in the literature, two numbers in `unit`, and `source` its
-    source; "free" means that none was found or that the paper leaves the value open. The value was chosen for the
-    `statements` (ids); `why` says how it acts on them. ValueError if `nominal` or `value` is outside of `range`.
-    """
+    """Value of one parameter of the calibrated car, which was fitted to the paper's statements; one table of
+    data/paper_like.toml. `nominal` is the value of the uncalibrated car in the setting "paper", `value` that of the
+    calibrated car, a number, text or list in `unit`. `range` is the range in the literature, two numbers in `unit`, and
+    `source` its source; "free" means that none was found or that the paper leaves the value open. The value was chosen
+    for the `statements` (ids); `why` says how it acts on them. ValueError if `nominal` or `value` is outside of
+    `range`."""
 
     nominal: Any
     value: Any
@@ -57,7 +56,7 @@ class Choice:
 
 
 def load(path: Path | str | None = None) -> dict[str, Choice]:
-    """Read a TOML file of choices (default data/paper_like.toml): name -> `Choice`; InputError if one is wrong."""
+    """Read a TOML file of choices (default data/paper_like.toml): parameter -> `Choice`; InputError if one is wrong."""
     file = data.location(path, paths.source("data/paper_like.toml"))
     choices, known = data.build(dict[str, Choice], data.read(file), file.name), statements.load()
     for name, choice in choices.items():
@@ -76,13 +75,14 @@ def _values(choices: Mapping[str, Choice]) -> dict[str, Any]:
 
 
 def cars() -> dict[str, ProbeSetup]:
-    """Make the setups of two cars: "calibrated", and "uncalibrated" (nominal, tuned controllers of `paper`)."""
+    """Make the setups of two cars with their controllers: "calibrated" with the values of data/paper_like.toml, which
+    were fitted to the paper's statements, and "uncalibrated" with nominal values."""
     return {"calibrated": setup(_values(load())), "uncalibrated": setup({})}
 
 
 def judged(world: ProbeSetup, parts: Iterable[str] = PARTS) -> pd.DataFrame:
-    """Judge the paper's statements on a car with its controllers (`world`): one row per statement. A difference within
-    the spread of the seeds of `paper` is a tie, as in the report.
+    """Judge the paper's statements on a car with its controllers (`world`): one row per statement. Controllers whose
+    difference is within the scatter of tuning seeds are tied: the statement does not hold.
 
     `parts` are names of groups of runs (`PARTS`); statements that need other runs have no row. Columns: statement (id);
     value; above and below, its limits (NaN for none); margin, distance of the value from the nearer limit over this
@@ -103,11 +103,8 @@ def judged(world: ProbeSetup, parts: Iterable[str] = PARTS) -> pd.DataFrame:
 
 
 def perturbed(choices: Mapping[str, Choice], size: float, draw: int) -> dict[str, Any]:
-    """Perturb the values of `choices` at random, by name.
-
-    Every number that differs from nominal is multiplied by 1 + `size` u with u uniform in [-1, 1]; `draw` seeds u. k_a
-    and k_s of poor rail stay at most 1.
-    """
+    """Perturb fitted parameters at random; returns name -> value. Every number that differs from nominal is multiplied
+    by 1 + `size` u with u uniform in [-1, 1]; `draw` seeds u. k_a and k_s of poor rail stay at most 1."""
     rng, values = np.random.default_rng([SEED, draw]), _values(choices)
     for name, choice in choices.items():
         if data.is_number(choice.value) and choice.value != choice.nominal:
@@ -117,24 +114,28 @@ def perturbed(choices: Mapping[str, Choice], size: float, draw: int) -> dict[str
 
 
 def conflict(factor: float) -> pd.DataFrame:
-    """Judge the calibrated car with R of NMPC times `factor` in all figures: `judged` with a column r_factor."""
+    """Judge the calibrated car with the weight R of NMPC times `factor`: a table of `judged` with a column r_factor.
+    Over factors it shows which statements need different R."""
     values = _values(load())
     r = setup(values).parameters["nmpc"]["r"]
     return judged(setup(values | {"nmpc:r": factor * r})).assign(r_factor=factor)
 
 
 def undone(name: str) -> pd.DataFrame:
-    """Judge the calibrated car with the choice `name` at its nominal value: `judged` with a column choice."""
+    """Judge the calibrated car with one fitted parameter, `name`, back at its nominal value: a table of `judged` with a
+    column choice (the name). It shows which statements hold only by this parameter."""
     choices = load()
     return judged(setup(_values(choices) | {name: choices[name].nominal})).assign(choice=name)
 
 
 def main() -> None:
-    """Command `calibrated`: judge the calibrated car and its variants; write four tables to data/results.
+    """Command `calibrated`: judge the paper's statements on the car that was fitted to them (data/paper_like.toml).
 
-    paper_like.csv (from `judged`), paper_like_undone.csv (`undone`), paper_like_conflicts.csv (`conflict`) and
-    paper_like_perturbed.csv, a row per size in `SIZES` and draw: size (relative), draw (seed), holds (number of
-    statements that hold), falls (ids of statements that hold only without perturbation).
+    Writes four tables to data/results: paper_like.csv, a row per statement (columns of `judged`);
+    paper_like_undone.csv, the same with one fitted parameter (column choice) at a time back at its nominal value;
+    paper_like_conflicts.csv, the same over factors (r_factor) on the weight R of NMPC; paper_like_perturbed.csv, a row
+    per random change of all fitted parameters: size (relative), draw (seed), holds (number of statements that hold),
+    falls (ids of those that now fail).
     """
     choices = load()
     moves = [(size, draw) for size in SIZES for draw in range(DRAWS)]

@@ -20,10 +20,9 @@ def result(name: str) -> pd.DataFrame | None:
 
 
 class Nominal:
-    """Stored metrics of the nominal car by column of verdicts (`setup.COLUMNS`).
-
-    `results` is a function like `result`, which reads a table of data/results.
-    """
+    """Stored metrics of the nominal car in the settings "paper" (perfect measurements), "loop" (sensors) and "swarm"
+    ("paper" with poles of nonlinear dynamic inversion by particle swarm). `results` is a function like `result`, which
+    reads a table of data/results."""
 
     def __init__(self, results: Callable[[str], pd.DataFrame | None] = result):
         self.results = cache(results)
@@ -32,11 +31,11 @@ class Nominal:
         self._rows = {} if metrics is None else dict(list(metrics.groupby("setting")))
 
     def settings(self) -> list[str]:
-        """List the columns of verdicts that have metrics, in the order of `COLUMNS`."""
+        """List those of "paper", "swarm" and "loop" that have stored metrics, in this order."""
         return [column for column in COLUMNS if column in self._rows]
 
     def evidence(self, setting: str) -> Evidence:
-        """Return metrics and tables of a column of verdicts; for "" only the tables that depend on no setting."""
+        """Return metrics and tables of a `setting` of `settings`; for "" only the tables that depend on no setting."""
         if setting not in self._evidence:
             rows = self._rows.get(setting)
             known = ({}, {}) if rows is None else (tuned_metrics(rows), seeds_spread(rows))
@@ -50,21 +49,17 @@ class Nominal:
 
 
 def tuned_metrics(rows: pd.DataFrame) -> dict[Key, float]:
-    """Average metrics over the seeds of the noise: (scenario, controller, metric) -> value (SI).
-
-    `rows` are those of one setting in nominal_metrics.csv; only rows with swarm 0, the tuned set, count. The metric
-    `failed` is 1 if a run with any seed failed.
-    """
+    """Average metrics over the seeds of the noise: (scenario, controller, metric) -> value (SI). `rows` are those of
+    one setting in nominal_metrics.csv, of which only those of the final parameters (swarm 0) count. `failed` is 1 if
+    any run failed."""
     values = rows[rows["swarm"] == 0].groupby(["scenario", "controller", "metric"], sort=False)["value"]
     return values.mean().to_dict() | {key: value for key, value in values.max().items() if key[2] == "failed"}
 
 
 def seeds_spread(rows: pd.DataFrame) -> dict[Key, float]:
-    """Compute ln(largest / smallest |value|) over swarms and noise: (scenario, controller, metric) -> scatter.
-
-    `rows` are those of one setting in nominal_metrics.csv. Only rmse_y and stopping_distance have a scatter; it is inf
-    for rmse_y if a run failed, and 0 if a value is 0 or not finite.
-    """
+    """Compute how metrics scatter over tuning and noise seeds: (scenario, controller, metric) -> ln(largest / smallest
+    |value|). `rows` are those of one setting in nominal_metrics.csv. Only rmse_y and stopping_distance have a scatter;
+    it is inf for rmse_y if a run failed, and 0 if a value is 0 or not finite."""
     sized = rows[rows["metric"].isin(["rmse_y", "stopping_distance"])]
     extremes = sized["value"].abs().groupby([sized[name] for name in ("scenario", "controller", "metric")])
     spread: dict[Key, float] = {}

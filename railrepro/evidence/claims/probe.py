@@ -66,10 +66,11 @@ Measured = Iterator[tuple[str, str, dict[str, float]]]
 
 
 def probe(world: ProbeSetup, parts: Iterable[str] = PARTS) -> dict[Key, float]:
-    """Simulate groups of the runs that judge the paper's statements, with the car and the controllers of `world`.
+    """Simulate the runs that judge the paper's statements, with the car and the controllers of `world`; returns
+    metrics, (scenario, controller, metric) -> value (SI).
 
-    `parts` are names from `PARTS` and `ONCE`. Returns (scenario, controller, metric) -> value (SI). A failed run has
-    the metric `failed` = 1 and few others; rmse_y and stopping_distance of a braking run without a stop are inf.
+    `parts` are groups of runs, names from `PARTS` and `ONCE`. A failed run has the metric `failed` = 1 and few others;
+    rmse_y and stopping_distance of a braking run without a stop are inf.
     """
     return {
         (scenario, controller, name): float(value)
@@ -80,7 +81,8 @@ def probe(world: ProbeSetup, parts: Iterable[str] = PARTS) -> dict[Key, float]:
 
 
 def nothing(scenario: Scenario) -> dict[str, float]:
-    """Compute rmse_y and largest_error of a running gear at y = 0, and shortest_wave, the shortest period of y* (m)."""
+    """Compute metrics of a scenario without guidance, from its set point y* alone: a dict with rmse_y and largest_error
+    of a running gear that stays at y = 0 (m), and shortest_wave, the shortest period of y* (m)."""
     reference = scenario.reference()
     values = ca.DM(reference(np.arange(0.0, scenario.end_m, 0.1))).full()
     waves = [value for key, value in scenario.set_point.items() if key.startswith("period")]
@@ -95,13 +97,15 @@ def _unless_failed(run: simulate.Run, experiment: Experiment, names: Iterable[st
 
 
 def following(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Measure rmse_y, largest_error, mean_error_last_third (m), effort_du (N m), see `metrics.summary`, and failed."""
+    """Measure how the front running gear follows its set point: RMS error rmse_y, largest_error and
+    mean_error_last_third (m), RMS differential torque effort_du (N m), failed (0 or 1). Returns (dict, None)."""
     return _unless_failed(run, experiment, _FOLLOWING), None
 
 
 def entering(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Measure a run of Fig. 6: metrics of `following`, delay of y behind y* and `shortfall` (m), `torque_step` (N m),
-    `path_error` (-); the DataFrame is `metrics.gear_series` with stride 10."""
+    """Measure a run of Fig. 6 (curve entry). Returns a dict with the metrics of `following`, delay of y behind y* and
+    `shortfall` (m), `torque_step` (N m) and `path_error` (-), and a DataFrame: every tenth row of the run (None if it
+    failed)."""
     values, _ = following(run, experiment)
     if run.failed:
         return values, None
@@ -111,10 +115,11 @@ def entering(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def losing(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Measure a run of Fig. 8: metrics of `following`, `macro_slips` and `oscillation`, and others.
+    """Measure a run of Fig. 8 (loss of adhesion). Returns (dict, None).
 
-    largest_slip of all wheels (-); utilisation_late, adhesion over its peak from p = 240 m on (-); flange, 1 if one
-    touches a rail; regular_deviation from 110 to 130 m, see `deviation` (-), also of a failed run.
+    The dict has the metrics of `following`, `macro_slips` and `oscillation`; largest_slip of all wheels (-);
+    utilisation_late, adhesion over its peak from p = 240 m on (-); flange, 1 if one touches a rail; regular_deviation
+    from 110 to 130 m, see `deviation` (-), also of a failed run.
     """
     (values, _), series = following(run, experiment), metrics.gear_series(run.series, stride=10)
     if not run.failed:
@@ -130,8 +135,9 @@ def losing(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def slipping(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Measure a run over a slippery patch: largest_slip of all wheels (-); utilisation, mean adhesion of the left front
-    wheel on the patch over the adhesion peak there (-); regular_deviation before the patch (-); failed."""
+    """Measure a run over a slippery patch. Returns (dict, None). Keys: largest_slip of all wheels (-); utilisation,
+    mean adhesion of the left front wheel on the patch over the peak there (-); regular_deviation before the patch (-);
+    failed."""
     scenario, car, series = experiment.scenario, experiment.car(), metrics.gear_series(run.series, stride=10)
     patch = series[series["front.p"].between(*PATCH)]
     adhesion = float((np.sign(patch["front.f_star"]) * patch["front_le.adhesion"]).mean())
@@ -144,13 +150,14 @@ def slipping(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def riding(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Measure a run on irregular rails: rail_rmse_y, RMS error from these rails (m); sum_y_over_limit, track shifting
-    force over its limit (-); n_mv_floor_front, comfort index above the front running gear (-); failed."""
+    """Measure a run on irregular rails. Returns (dict, None). Keys: rail_rmse_y, RMS error from these rails (m);
+    sum_y_over_limit, track shifting force over its limit (-); n_mv_floor_front, comfort index above the front running
+    gear (-); failed."""
     return _unless_failed(run, experiment, ("rail_rmse_y", "sum_y_over_limit", "n_mv_floor_front")), None
 
 
 def braked(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Measure rmse_y and stopping_distance (m); both are inf if the run failed or the car did not stop."""
+    """Measure a braking run: (dict, None), with rmse_y and stopping_distance (m); inf if it failed or did not stop."""
     row = experiment.values(run)
     stopped = not run.failed and run.series["front.v"].iloc[-1] < 0.2
     return {name: row[name] if stopped else float("inf") for name in ("rmse_y", "stopping_distance")}, None
@@ -347,11 +354,9 @@ _DRIVE: dict[str, Callable[[ProbeSetup], Measured]] = {
 
 
 def torque_step(series: pd.DataFrame) -> float:
-    """Compute the mean differential torque over the first wave of the set point less the mean before it (N m).
-
-    `series` has the columns front.y_ref and front.du. The wave starts at the first set point other than 0. NaN without
-    a whole wave.
-    """
+    """Compute the mean differential torque over the first wave of the set point less the mean before it (N m). `series`
+    has the columns front.y_ref and front.du. The wave starts at the first set point other than 0. NaN without a whole
+    wave."""
     reference = series["front.y_ref"].to_numpy()
     begin = int(np.argmax(reference != 0))
     first_half = reference * reference[begin] > 0
@@ -362,11 +367,9 @@ def torque_step(series: pd.DataFrame) -> float:
 
 
 def torque_shift(first: pd.DataFrame, second: pd.DataFrame) -> dict[str, float]:
-    """Compute the lag of the differential torque in the run `second` behind the one in the run `first`.
-
-    Both have the columns front.p and front.du. Returns ndi_later, the lag along the track at which the torques
-    correlate best (m, -15 to 40 m), and ndi_alike, their correlation at this lag (-).
-    """
+    """Compute the lag of the differential torque in the run `second` behind the one in the run `first`. Both have the
+    columns front.p and front.du. Returns ndi_later, the lag along the track at which the torques correlate best (m, -15
+    to 40 m), and ndi_alike, their correlation at this lag (-)."""
     grid = np.arange(60.0, 590.0, 0.25)
     one, other = (np.interp(grid, rows["front.p"], rows["front.du"]) for rows in (first, second))
     shifts = np.arange(-60, 161)
@@ -377,30 +380,23 @@ def torque_shift(first: pd.DataFrame, second: pd.DataFrame) -> dict[str, float]:
 
 def shortfall(series: pd.DataFrame) -> float:
     """Compute the mean by which y falls short of the crests of its set point y* (m): the larger of right and left.
-
-    `series` has the columns front.y and front.y_ref (y*). Crests are rows in which |y*| exceeds 5/6 of its maximum.
-    """
+    `series` has the columns front.y and front.y_ref (y*). Crests are rows in which |y*| exceeds 5/6 of its maximum."""
     reference = series["front.y_ref"]
     short, crest = reference - series["front.y"], reference.abs().max() * 5 / 6
     return float(max(short[reference > crest].mean(), -short[reference < -crest].mean()))
 
 
 def path_error(series: pd.DataFrame) -> float:
-    """Compute the RMS yaw of a running gear against the track over the RMS heading of the track (-).
-
-    1 if the running gear keeps its direction. `series` has the columns front.psi_TrAx (yaw against the track) and
-    front.psi_Ax (yaw).
-    """
+    """Compute the RMS yaw of a running gear against the track over the RMS heading of the track (-): 1 if it keeps its
+    direction. `series` has the columns front.psi_TrAx (yaw against the track) and front.psi_Ax (yaw)."""
     heading = series["front.psi_Ax"] - series["front.psi_TrAx"]
     return float(np.sqrt((series["front.psi_TrAx"] ** 2).mean() / (heading**2).mean()))
 
 
 def oscillation(series: pd.DataFrame) -> dict[str, float]:
-    """Measure how y follows its set point in Fig. 8 from p = 240 m on; `series` as of `metrics.gear_series`.
-
-    Returns set_point_gain, the slope of the regression of y on the set point through the origin (-), and error_growth,
-    the RMS error on the second half of this distance over the one on the first half (-).
-    """
+    """Measure how y follows its set point in Fig. 8 from p = 240 m on; `series` is from `metrics.gear_series`. Returns
+    a dict: set_point_gain, the slope of the regression of y on the set point through the origin (-), and error_growth,
+    the RMS error on the second half of this distance over the one on the first half (-)."""
     rows = series[series["front.p"] >= REACHED]
     error, half = rows["front.y"] - rows["front.y_ref"], rows["front.p"] >= rows["front.p"].iloc[[0, -1]].mean()
     growth = np.sqrt((error[half] ** 2).mean() / (error[~half] ** 2).mean())
@@ -409,11 +405,9 @@ def oscillation(series: pd.DataFrame) -> dict[str, float]:
 
 
 def deviation(series: pd.DataFrame, begin: float, end: float) -> float:
-    """Compute the mean relative deviation |f - f*| / |f*| (-) of the adhesion f from its set point f*.
-
-    The mean is over the rows of `series` (`metrics.gear_series`) from p = `begin` to p = `end` (m), inf without rows; f
-    is the mean adhesion of both wheels of a running gear.
-    """
+    """Compute the mean relative deviation |f - f*| / |f*| (-) of the adhesion f from its set point f*. The mean is over
+    the rows of `series` (`metrics.gear_series`) from p = `begin` to p = `end` (m), inf without rows; f is the mean
+    adhesion of both wheels of a running gear."""
     rows = series[series["front.p"].between(begin, end, inclusive="left")]
     if rows.empty:
         return float("inf")
@@ -469,10 +463,11 @@ def excessive_slip(scenario: Scenario, car: Vehicle) -> float:
 
 
 def nominal(settings: Iterable[str] = COLUMNS) -> pd.DataFrame:
-    """Simulate the probes of the nominal car in columns of verdicts: one row per metric of a run.
+    """Simulate the runs that judge the statements on the nominal car: one row per metric of a run.
 
-    Columns scenario, controller, metric, value (in `unit`), unit, setting (one of `COLUMNS`), swarm (rank of the
-    parameter set by cost, 0 is the tuned set), seed (of the sensor noise; 0 without sensors).
+    Each of `settings` is "paper", "loop" (with sensors), or "swarm" ("paper" with poles of NDI by particle swarm).
+    Columns scenario, controller, metric, value (in `unit`), unit, setting, swarm (rank of the parameters among tuning
+    runs by cost, 0 the final ones), seed (of the sensor noise; 0 without sensors).
     """
     tasks = []
     for setting in settings:
@@ -492,7 +487,7 @@ def nominal(settings: Iterable[str] = COLUMNS) -> pd.DataFrame:
 
 
 def main(settings: Sequence[str] = ()) -> None:
-    """Write data/results/nominal_metrics.csv: `nominal` in some columns of verdicts (default all)."""
+    """Write data/results/nominal_metrics.csv, the table of `nominal` for `settings` (default all)."""
     unknown = set(settings) - set(COLUMNS)
     if unknown:
         raise InputError(f"setting {min(unknown)!r} is not known; there are {COLUMNS}")

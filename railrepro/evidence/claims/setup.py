@@ -16,14 +16,14 @@ from railrepro.tuning.task import triple_pole
 
 @dataclass(frozen=True)
 class ProbeSetup(World):
-    """A `World` with choices for the experiments that the paper leaves open.
+    """Car, controllers and sensors (a `World`) with the choices of the experiments that the paper leaves open.
 
     Attributes:
         amplitude_mm, period_start_m, period_end_m (float): Set point of Fig. 6: amplitude, first and last period.
         clothoid_factor (float): Factor on the length of the clothoid of T3 (-).
         r_loss, r_brake (float): Factors on the weight R of NMPC in Fig. 8 and in Fig. 9 (-).
         r_second (float): Further factor on R for the second NMPC of Fig. 9 (-).
-        brake_sweep (dict): Changed entries of the set point of Fig. 9, as {"period_end_m": 30.0}.
+        brake_sweep (dict): Changed fields of the set point of Fig. 9, as {"period_end_m": 30.0}.
         ltv (str): Controller that stands for LTV-MPC: "ltv_mpc_printed", or "ltv_mpc", which keeps its affine term.
     """
 
@@ -62,7 +62,7 @@ class ProbeSetup(World):
         return base.but(set_point=base.set_point | chosen)
 
     def stretched(self) -> Alignment | None:
-        """Stretch the clothoid of T3 by `clothoid_factor`; None when the factor is 1."""
+        """Track T3 with its clothoid stretched by `clothoid_factor`; None when the factor is 1."""
         if self.clothoid_factor == 1.0:
             return None
         straight, clothoid, *rest = alignments()["T3"].segments
@@ -80,7 +80,7 @@ _CHOICES = {one.name for one in fields(ProbeSetup)} - {one.name for one in field
 
 
 def setting_of(column: str) -> str:
-    """Return the setting of comparison of a column of verdicts."""
+    """Return the setting for which the controllers of `column` were tuned: "paper" also for "swarm", else `column`."""
     return PAPER if column == SWARM else column
 
 
@@ -89,13 +89,12 @@ def setup(values: Mapping[str, Any], column: str = PAPER, *, rank: int = 0, seed
 
     Args:
         values (mapping): Keys: choices of `ProbeSetup`; "profile" (wheels of the simulated car, unknown to its
-            controllers); "brake_sweep:ENTRY", as "brake_sweep:period_end_m" (set point of Fig. 9);
+            controllers); "brake_sweep:FIELD", as "brake_sweep:period_end_m" (set point of Fig. 9);
             "CONTROLLER:PARAMETER", as "nmpc:r"; "ndi.pole" (triple pole, rad/s); "ltv_mpc_printed.r" (LTV-MPC has the
             weights of NMPC with R times this); dotted keys of the vehicle.
-        column (str): Column of verdicts, one of `COLUMNS`, from which tuning parameters are taken.
-        rank (int): Rank of the parameter set among the swarms by cost; 0, or a rank beyond them, is the tuned set.
-        seed (int, optional): Seed of the sensors in the setting "loop". Without it, and in other settings, controllers
-            get the true signals.
+        column (str): Tuned parameters: "paper", "loop" (with sensors), or "swarm" ("paper", poles of NDI by swarm).
+        rank (int): Rank of the parameters among the tuning runs by cost; 0, or a rank beyond them: the final ones.
+        seed (int, optional): Seed of the sensors with "loop". Without it, and otherwise, controllers get true signals.
 
     InputError for an unknown key or column, or a factor out of range. `ProbeSetup.checked` checks other values.
     """

@@ -55,12 +55,12 @@ _WORST_IS_INFINITE = ("rmse_y", "largest_error", "delay", "stopping_distance", "
 
 
 class MissingEvidence(KeyError):
-    """A metric or table that a predicate needs is missing."""
+    """A metric or table that the function of a statement needs is missing."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Result of a predicate, which `Statement.judge` compares with the limits of the statement: the number `value` in
+    """Measured value of a statement, which `Statement.judge` compares with its limits: the number `value` in
     `Statement.unit` (with NaN it does not hold) and `weaker`, the same for the weaker form of the statement, if any.
     `tie` is the scatter between seeds, ln(largest / smallest); within a factor exp(tie) of a limit is a tie."""
 
@@ -71,11 +71,11 @@ class Finding:
 
 @dataclass(frozen=True)
 class Evidence:
-    """Metrics of runs and tables of results from which the predicates judge the statements.
+    """Metrics of runs and tables of results from which the statements are judged.
 
-    `metrics` has values (SI); the metric `failed` of a failed run is 1. `spread` has the scatter between seeds,
-    ln(largest / smallest). `tables` returns a table of data/results by its name, None if it is missing. `setting` is
-    the setting of comparison (`registry.SETTINGS`) of metrics and tables; "" for tables without one.
+    `metrics` maps (scenario, controller, metric) to values (SI); the metric `failed` of a failed run is 1. `spread`
+    maps the same keys to the scatter between seeds, ln(largest / smallest). `tables` returns a table of data/results by
+    its name, None if it is missing. `setting` is "paper" or "loop" (`registry.SETTINGS`), "" for tables without one.
     """
 
     metrics: Mapping[Key, float]
@@ -92,10 +92,8 @@ class Evidence:
         return float(self.metrics[scenario, controller, metric])
 
     def table(self, name: str) -> pd.DataFrame:
-        """Return the rows of a table of data/results that belong to `setting`; MissingEvidence if there are none.
-
-        With the setting "" they are all rows of a table without a column `setting`.
-        """
+        """Return the rows of a table of data/results that belong to `setting`, with "" all rows of a table without a
+        column `setting`; MissingEvidence if there are none."""
         table = self.tables(name) if self.tables else None
         if table is not None and ("setting" in table) == bool(self.setting):
             rows = table[table["setting"] == self.setting] if self.setting else table
@@ -109,22 +107,23 @@ class Evidence:
         return self(scenario, first, metric) / other if np.isfinite(other) else float("nan")
 
     def tie(self, scenario: str, controllers: Iterable[str], metric: str = "rmse_y") -> float:
-        """Return the largest `spread` of a metric among `controllers`; 0 if there is none."""
+        """Return the largest scatter between seeds (`spread`) of a metric among `controllers`; 0 if there is none."""
         return max((self.spread.get((scenario, name, metric), 0.0) for name in controllers), default=0.0)
 
     def ahead(self, scenario: str, first: str, second: str) -> bool:
-        """Whether the RMS error of `first` is smaller by more than the factor exp(`tie`); False if a run failed."""
+        """Whether the RMS error rmse_y of `first` is smaller than that of `second` by more than their scatter between
+        seeds, the factor exp(`tie`); False if a run failed."""
         return self.ratio(scenario, first, second) * np.exp(self.tie(scenario, (first, second))) < 1
 
 
 @data.table
 class Statement:
-    """Statement of the paper with the rule that judges it, an entry of data/claims.toml.
+    """Statement of the paper with the rule that judges it, one table of data/claims.toml.
 
     A value (in `unit`) between `above` and `below` reproduces the statement, a value between `partly_above` and
     `partly_below` does so partly. None is no limit. `reason` explains the limits. `statement` is what `section` of the
     paper claims, `paper` the number printed there. `evidence` is a figure, as "fig06_curve_entry", or the path of a
-    table; `notebook` makes it. `control` names the negative controls of the tests that must refute the statement,
+    table; `notebook` makes it. `control` names the wrong cars or controllers with which tests refute the statement,
     joined by "; ". ValueError if the evidence does not exist, or for a statement without a limit.
     """
 
@@ -153,11 +152,11 @@ class Statement:
                 raise ValueError(f"holds above {low} and below {high}, a lower limit below the upper one is needed")
 
     def judge(self, finding: Finding) -> str:
-        """Return the verdict on a finding: `REPRODUCED`, `TIE`, `PARTLY` or `NOT`, the first that applies.
+        """Return the verdict on a finding: "reproduced", "tie", "partly" or "not reproduced", the first that applies.
 
-        `REPRODUCED`: `value` is between `above` and `below` by more than a factor exp(tie). `TIE`: it is within this
-        factor of a limit. `PARTLY`: `Finding.weaker` (without it `value`) is between `partly_above` and `partly_below`
-        (without both: `above` and `below`).
+        Reproduced: `value` is between `above` and `below` by more than a factor exp(tie). Tie: it is within this factor
+        of a limit. Partly: `Finding.weaker` (without it `value`) is between `partly_above` and `partly_below` (without
+        both: `above` and `below`).
         """
         limits = self.above, self.below
         if _within(finding.value, *limits, finding.tie):
@@ -187,13 +186,13 @@ def load(path: Path | str | None = None) -> dict[str, Statement]:
 
 
 def find(identity: str, evidence: Evidence) -> Finding:
-    """Evaluate the predicate of a statement by its id, as "C05"; MissingEvidence if a metric or table is missing."""
+    """Compute the value of a statement by its id, as "C05"; MissingEvidence if a metric or table is missing."""
     value = VALUES[identity](evidence)
     return value if isinstance(value, Finding) else Finding(float(value))
 
 
 def findings(evidence: Evidence) -> dict[str, Finding]:
-    """Evaluate all predicates for which `evidence` has the metrics and tables: id -> `Finding`."""
+    """Compute the measured values of all statements for which `evidence` suffices: id -> `Finding`."""
     found = {}
     for identity in VALUES:
         with suppress(MissingEvidence):
@@ -276,7 +275,8 @@ def _gyroscope(e: Evidence) -> float:
 
 
 def usual_times(e: Evidence, solver: str, column: str = "median_ms") -> pd.Series:
-    """Return a column of table solve_times for a solver: Series by scenario, without those with active bounds."""
+    """Solution times of a solver as a Series by scenario: a `column` of table solve_times, without the problems in
+    which bounds are active."""
     times = e.table("solve_times").query("solver == @solver")
     return times[~times["scenario"].str.contains("bounds")].set_index("scenario")[column]
 

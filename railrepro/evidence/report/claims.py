@@ -54,9 +54,9 @@ def evaluate(nominal: Nominal) -> pd.DataFrame:
 
 
 def headline(rows: pd.DataFrame) -> str:
-    """Headline verdict of one statement: the one in the setting `paper`, or the one without a setting. `rows` are the
-    rows of one id from `evaluate`. Returns `NO_VERDICT` for an entry whose kind is not "statement", and `UNTESTABLE`
-    without such a row."""
+    """Verdict of one statement that the report shows first: that in the setting "paper", or the one without a setting.
+    `rows` are the rows of one id from `evaluate`. Returns "no verdict" where data/claims.toml has a kind other than
+    "statement", and "not testable" without such a row."""
     if set(rows["kind"]) != {"statement"}:
         return NO_VERDICT
     counts = rows[rows["setting"].isin(("", HEADLINE))]["judged"]

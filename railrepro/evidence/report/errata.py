@@ -14,9 +14,9 @@ _TRIPLED = 2  # Relative change of the RMSE above which a run counts as lost
 
 
 def model_variants(scenarios: Sequence[Scenario], variants: Sequence[str]) -> pd.DataFrame:
-    """Simulate NMPC with variants of its prediction model, and with the printed torque limit (erratum D10). `variants`
-    are values of `MPCSettings.variant`. Returns one row of metrics per run (`run_all`) with the columns scenario,
-    variant ("D10" for the printed limit) and flange (whether a wheel touched its flange or lifted)."""
+    """Simulate NMPC with printed errors in its prediction model, and with the printed torque limit (erratum D10).
+    `variants` are values of `MPCSettings.variant`. Returns one row of metrics per run (`run_all`) with the columns
+    scenario, variant ("D10" for the printed limit) and flange (whether a wheel touched its flange or lifted)."""
     changed = {variant: {"variant": variant} for variant in variants} | {"D10": {"yielding": False}}
     tried = [*product(scenarios, variants), *product(scenarios, ["D10"])]
     runs = [Experiment(s, "nmpc", {"variant": v}, options={"solver": "rti"}, changes=changed[v]) for s, v in tried]
@@ -24,8 +24,9 @@ def model_variants(scenarios: Sequence[Scenario], variants: Sequence[str]) -> pd
 
 
 def linearisations(scenarios: Sequence[Scenario]) -> pd.DataFrame:
-    """Simulate NMPC, LTV-MPC with the corrected linearisation and LTV-MPC with the printed one (erratum D6). All have
-    the weights of NMPC in the setting `paper`. Columns scenario, controller, flange and metrics as above."""
+    """Simulate NMPC, LTV-MPC with the corrected linearisation and LTV-MPC with the printed one (erratum D6), all with
+    the weights of NMPC in the setting "paper". Returns one row per run: scenario, controller, flange (whether a wheel
+    touched its flange or lifted) and metrics."""
     weights, controllers = parameters("nmpc"), ("nmpc", "ltv_mpc", "ltv_mpc_printed")
     runs = [Experiment(s, name, parameters=weights) for s, name in product(scenarios, controllers)]
     return _table(runs, "LTV against NMPC")

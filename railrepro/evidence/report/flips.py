@@ -19,12 +19,10 @@ from railrepro.evidence.claims.setup import ProbeSetup, setup
 
 @data.table
 class Question:
-    """Open question to the authors of the paper, an entry of data/answers.toml.
-
-    `asks` is its text. `sets` are the names (keys of `claims.setup.setup`) that the answer sets. `parts` are the groups
-    of runs (`probe.PARTS`) that depend on it. `answer` has a value in `unit` per name, or fewer values that are
-    repeated; () is no answer yet. ValueError when the number of values does not divide the number of names.
-    """
+    """Open question to the authors of the paper, one table of data/answers.toml. `asks` is its text. `sets` are the
+    names (keys of `claims.setup.setup`) that the answer sets. `parts` are the groups of runs (`probe.PARTS`) that
+    depend on it. `answer` has a value in `unit` per name, or fewer values that are repeated; () is no answer yet.
+    ValueError when the number of values does not divide the number of names."""
 
     asks: str
     sets: Annotated[tuple[str, ...], data.NOT_EMPTY]
@@ -78,8 +76,9 @@ def flips(answered: Mapping[str, Question]) -> pd.DataFrame:
 
 
 def main(settings: Sequence[str] = ()) -> None:
-    """Command `probe`: simulate what the statements need in `settings`, columns of verdicts (default all). With the
-    path of a filled copy of data/answers.toml, print the statements whose verdict its answers change."""
+    """Command `probe`: simulate the nominal car and write data/results/nominal_metrics.csv, a row per metric and run,
+    from which the statements are judged. `settings` are "paper", "swarm" or "loop" (default all). With the path of a
+    filled copy of data/answers.toml instead, print the statements whose verdict its answers change."""
     if not settings or not settings[0].endswith(".toml"):
         probe.main(settings)
         return

@@ -35,7 +35,7 @@ _LINK = re.compile(r"\[([^]]+)\]\(([^)]+)\)")
 
 @data.table
 class Thesis:
-    """Sentence of the report with the conditions under which it is true, an entry of data/theses.toml. `says` is the
+    """Sentence of the report with the conditions under which it is true, one table of data/theses.toml. `says` is the
     text, with Jinja expressions. It is shown only if all Jinja conditions of `true` hold. `role` is its place in the
     report, `of` are the ids of the statements that it explains."""
 
@@ -51,8 +51,8 @@ def theses() -> dict[str, Thesis]:
 
 
 def main() -> int:
-    """Command `report`: judge the statements; write claims.csv and the texts that are made of templates in data/.
-    Returns 1 when a sentence of data/theses.toml is not true, else 0."""
+    """Command `report`: judge the statements; write claims.csv, REPLICATION.md, figures/README.md, codecheck.yml and
+    the results in README.md. Returns 1 when a sentence of data/theses.toml is not true, else 0."""
     nominal = Nominal()
     page = Page(claims.evaluate(nominal), nominal)
     write(paths.product(claims.FILE), page.contract().to_csv(index=False, float_format="%.4g"))
@@ -69,11 +69,9 @@ def main() -> int:
 
 class Page:
     """Functions and values for the Jinja templates of the report: REPLICATION.md, figures/README.md, README.md.
-
-    `judged` are verdicts as from `claims.evaluate`, `nominal` are the stored metrics. In all methods `setting` is a
-    column of verdicts, "paper", "swarm" or "loop", or "" for tables that do not depend on it; `identity` is the id of a
-    statement, as "C05".
-    """
+    `judged` are verdicts as from `claims.evaluate`, `nominal` are the stored metrics. In all methods `setting` is
+    "paper", "swarm" or "loop", or "" for tables that do not depend on it; `identity` is the id of a statement, as
+    "C05"."""
 
     def __init__(self, judged: pd.DataFrame, nominal: Nominal):
         self.judged, self.nominal = judged, nominal
@@ -98,8 +96,8 @@ class Page:
         return "## ".join(_linked_once(section) for section in text.split("## "))
 
     def render(self, template: str, **more) -> str:
-        """Render a template in data/, which may use the chain of notebooks (`chapters`, `verify`), the captions of
-        figures and the values `more`."""
+        """Return the text of a template in data/, which may use the notebooks (`chapters`), the tolerances of their
+        comparison (`verify`), the captions of figures and the values `more`."""
         chain, captions = (data.read(paths.NOTEBOOKS / name) for name in ("chain.toml", "book/captions.toml"))
         more |= {
             "chapters": chain["notebook"],
@@ -110,13 +108,13 @@ class Page:
         return self._jinja.get_template(template).render(more)
 
     def readme(self, text: str) -> str:
-        """Replace the results between the lines `BEGIN` and `END` in the text of README.md."""
+        """Return the text of README.md with new results between the lines `BEGIN` and `END`."""
         head, rest = text.split(BEGIN)
         _, tail = rest.split(END)
         return head + BEGIN + self._jinja.get_template("readme.md.j2").render() + END + tail
 
     def contract(self) -> pd.DataFrame:
-        """Content of claims.csv: `judged` without the column data, with why: the reasons where it is not reproduced."""
+        """Content of claims.csv: `judged` without the column data, with a column why, the reasons for each failure."""
         reasons, table = self.sentences("why"), self.judged.drop(columns="data")
         why = pd.Series([" ".join(says for of, says in reasons if identity in of) for identity in table["id"]])
         fails = (self.judged["judged"] != statements.REPRODUCED) & (self.judged["data"] != "")
@@ -124,7 +122,7 @@ class Page:
         return table
 
     def text(self, text: str) -> str:
-        """Evaluate the Jinja expressions of a text, such as `Thesis.says`."""
+        """Return a text with its Jinja expressions, as in `Thesis.says`, replaced by their values."""
         return self._jinja.from_string(text).render()
 
     def true(self, condition: str) -> bool:
@@ -140,18 +138,18 @@ class Page:
         return {name: conditions for name, conditions in wrong.items() if conditions}
 
     def sentences(self, role: str) -> list[tuple[list[str], str]]:
-        """True sentences of a role (`Thesis.role`) as pairs (ids, text). `ids` are the statements that the sentence
-        explains and whose headline verdict is not "reproduced"."""
+        """True sentences with a `role` ("summary", "why", "holds_if", "readme") as pairs (ids, text). `ids` are the
+        statements that the sentence explains and that are not reproduced."""
         true = [thesis for thesis in theses().values() if thesis.role == role and all(map(self.true, thesis.true))]
         failing = [i for i, verdict in self.statements.items() if verdict != statements.REPRODUCED]
         return [([i for i in thesis.of if i in failing], self.text(thesis.says)) for thesis in true]
 
     def e(self, setting: str, scenario: str, controller: str, metric: str) -> float:
-        """Metric (SI) of a controller in a scenario and setting, see `statements.Evidence.__call__`."""
+        """Metric (SI) of a controller in a scenario; of a failed run inf if less is better, else NaN."""
         return self.nominal.evidence(setting)(scenario, controller, metric)
 
     def q(self, setting: str, scenario: str, controller: str, metric: str, unit: str = "") -> str:
-        """Markdown link "[value unit](its table)" of the metric `e` in `unit`, with three digits (`quantity`)."""
+        """Metric from `e` as Markdown link "[value unit](its table)" in three digits; `unit` is "" (SI), "mm", "%"."""
         return linked(self.e(setting, scenario, controller, metric), METRICS, unit)
 
     def sudden(self, metric: str, controller: str) -> list[float]:
@@ -163,7 +161,8 @@ class Page:
         return statements.find(identity, self.nominal.evidence(setting))
 
     def holds(self, identity: str, setting: str) -> bool:
-        """Whether a statement is reproduced in a setting, or with `setting` "calibrated" on the calibrated car."""
+        """Whether a statement is reproduced in a `setting`, with "calibrated" on the car that was fitted to the
+        statements."""
         if setting == "calibrated":
             return self.calibrated_car.get(identity) == "yes"
         return self.rules[identity].judge(self.find(identity, setting)) == statements.REPRODUCED
@@ -185,7 +184,7 @@ class Page:
         return rows.iloc[0]
 
     def tuned_rmse(self, controller: str, setting: str) -> float:
-        """RMSE of y (m) on T3 with the best tuned set of a controller in a setting, from settings_metrics.csv."""
+        """RMSE of y (m) on T3 with the best tuned parameters of a controller, from settings_metrics.csv."""
         seed = min(sets.load(controller, setting)["swarms"], key=lambda swarm: swarm["cost"])["seed"]
         where = {"scenario": "curve_entry_T3", "setting": setting, "controller": controller, "swarm": seed}
         return self.cell("settings_metrics", "value", metric="rmse_y", **where)
@@ -195,7 +194,8 @@ class Page:
         return float(statements.usual_times(self.nominal.evidence(PAPER), solver, column).median())
 
     def value(self, identity: str) -> str:
-        """Markdown link "[value unit](its table)" of the value behind the headline verdict of a statement."""
+        """Markdown link "[value unit](its table)" of the measured value of a statement (in "paper", if it has
+        settings)."""
         headline = self.judged["setting"].isin(("", claims.HEADLINE))
         row = self.judged[(self.judged["id"] == identity) & headline].iloc[-1]
         return linked(number(row["measured_value"], row["unit"]), row["data"])
@@ -207,7 +207,7 @@ def csv(relative: str) -> pd.DataFrame:
 
 
 def quantity(value: float, unit: str = "") -> str:
-    """Text of an SI value with three digits in `unit` (SI, "mm" or "%"); "derailed" for inf, `UNKNOWN` for NaN."""
+    """Text of an SI value with three digits in `unit` (SI, "mm" or "%"); "derailed" for inf, "n/a" for NaN."""
     if not np.isfinite(value):
         return UNKNOWN if np.isnan(value) else "derailed"
     shown = {"mm": 1e3, "%": 100.0}.get(unit, 1.0) * value

@@ -15,7 +15,7 @@ _KEY = "railrepro_false"  # Key of the false sentences in the metadata of an out
 
 
 class Sentences(list):
-    """List of pairs (sentence, bool: whether it holds); calling the list appends a pair."""
+    """Sentences of a notebook about its runs: pairs (text, whether it holds); calling the list appends a pair."""
 
     def __call__(self, text: str, *holds: object) -> None:
         """Append `text`. It holds if there are conditions `holds` (bool or bool array), all true and none empty."""
@@ -25,9 +25,9 @@ class Sentences(list):
 
 @contextmanager
 def sentences() -> Iterator[Sentences]:
-    """Context manager: collect sentences (`with sentences() as says: says("…", holds)`) and display them at its end.
+    """Collect sentences in a notebook cell (`with sentences() as says: says("…", holds)`) and display them at its end.
 
-    They become one paragraph with their number below it; those that do not hold are marked with `MARK`. A LookupError,
+    They become one paragraph with their number below it; those that do not hold are marked in words. A LookupError,
     ValueError or ArithmeticError in the block, such as from a missing value, ends the block; a last sentence that does
     not hold then names the error.
     """

@@ -29,12 +29,13 @@ def experiments(
     names: Sequence[str], cases: Sequence[str], noise_seeds: Sequence[int], swarms: int | None, scale: float,
     stress: Mapping[str, float],
 ) -> list[Experiment]:  # fmt: skip
-    """Experiments with the tuned sets of controllers in all settings of comparison, for the keys `cases` of `CASES`.
+    """List the runs that compare the tuned controllers with perfect measurements ("paper") and with sensors ("loop").
 
-    `names` are controllers; those of `BY_SWARM` drive in the setting `paper` only. In the setting `loop` the best set
-    has all of `noise_seeds`, seeds of the sensors, the others only the first. `swarms` is the number of sets per
-    controller, those with the lowest cost (None: all). `scale` is a factor on the length of the runs (-). `stress` are
-    changes of data/sensors.toml in cases that end with "stressed", as {"inverter.gain": 1.2}.
+    `names` are controllers, `cases` keys of `CASES`; inversions with poles by the particle swarm (`BY_SWARM`) run in
+    "paper" only. Each controller has the parameters of several tuning runs: of the `swarms` with the lowest cost (None:
+    all). In "loop" the best ones run with all `noise_seeds` of the sensors, the others only with the first. `scale` is
+    a factor on the length of the runs (-). `stress` has changes of data/sensors.toml in cases that end with "stressed",
+    as {"inverter.gain": 1.2}.
     """
     runs = []
     pairs = [pair for pair in product(SETTINGS, names) if pair[0] != LOOP or pair[1] not in BY_SWARM]
@@ -56,9 +57,9 @@ def experiments(
 
 
 def metrics(table: pd.DataFrame) -> pd.DataFrame:
-    """Tidy table of settings_metrics.csv, one row per run and metric, from the table of `run_all` of `experiments`.
-    Columns: scenario (the case), controller, metric, value (in `unit`), unit, setting, swarm (its seed), seed (of the
-    sensors)."""
+    """Convert the table of `run_all` of `experiments` to that of settings_metrics.csv, one row per run and metric.
+    Columns: scenario (the case), controller, metric, value (in `unit`), unit, setting, swarm (seed of the tuning run),
+    seed (of the sensors)."""
     keys = ["scenario", "controller", "setting", "swarm", "seed"]
     wide = table.drop(columns="scenario").rename(columns={"case": "scenario"}).reindex(columns=[*keys, *_UNITS])
     tidy = wide.melt(keys, var_name="metric").dropna()

@@ -34,7 +34,7 @@ _PATCH = ((0.0, 0.0), (200.0, 0.0), (201.0, 1.0), (300.0, 1.0), (301.0, 0.0))
 
 
 def experiments() -> list[Experiment]:
-    """List all runs of data/results/loop_table.csv; their labels have the keys kind and case."""
+    """List the runs with sensors of data/results/loop_table.csv; their labels have the keys kind and case."""
     ends = {"curve_entry_T1": 50.0, "curve_entry_T2": 200.0, _CURVE: 280.0, "curve_entry_T4": 330.0, _FAST: 250.0}
     runs = [run for name, end in ends.items() for run in row("loop", name, name, {"end_m": end})]
     short, sine, curve = {"end_m": 500.0}, {"end_m": 250.0}, {"end_m": 280.0}
@@ -64,11 +64,10 @@ def experiments() -> list[Experiment]:
 
 
 def row(kind: str, case: str, scenario: str, change: dict, **more) -> list[Experiment]:
-    """List the runs of one case of loop_table.csv: each controller of `COMPARED` with each of `SEEDS`.
-
-    `kind` and `case` label the runs. With the kind "irregular" the seeds are `FEW`, and each also draws the rails.
-    `scenario` is a name, `change` has changed fields of this scenario, `more` further fields of `Experiment`.
-    """
+    """List the runs of one case of loop_table.csv: LQG with preview and its rivals (`COMPARED`), each with all `SEEDS`
+    of the sensors. `kind` and `case` label the runs. With the kind "irregular" there are three seeds, and each also
+    draws the rails. `scenario` is a name, `change` has changed fields of this scenario, `more` further fields of
+    `Experiment`."""
     driven, runs = load_scenario(scenario).but(**change), []
     more |= {"label": {"kind": kind, "case": case}, "setting": LOOP}
     for name, seed in product(COMPARED, FEW if kind == "irregular" else SEEDS):
@@ -80,11 +79,9 @@ def row(kind: str, case: str, scenario: str, change: dict, **more) -> list[Exper
 
 
 def limit_of(run: Experiment) -> dict:
-    """Compute the lower bounds of the RMS error y - y* that the sensors allow in a run (`limit.limit`).
-
-    Returns limit_mm, with y* at the true track coordinate, and limit_at_believed_place_mm, with y* at the measured one
-    (mm); {} unless the run is of the kind "loop" on ideal dry rails.
-    """
+    """Compute lower bounds (mm) of the RMS error y - y* that the sensors allow in a run (`limit.limit`). Returns a
+    dict: limit_mm, with y* at the true track coordinate, and limit_at_believed_place_mm, with y* at the measured one;
+    {} unless the run is of the kind "loop" on ideal dry rails."""
     scenario, loop = run.scenario, load_loop()
     if run.label["kind"] != "loop" or run.irregular or scenario.poor_share:
         return {}
@@ -94,8 +91,9 @@ def limit_of(run: Experiment) -> dict:
 
 
 def followed(run: simulate.Run, _experiment: Experiment) -> store.Entry:
-    """Measure error_mm and rear_mm, RMS errors of both running gears from the actual rails (mm), activity_Nm, RMS of
-    the front torque above 5 Hz (N m), and failed, also if a flange was reached; the others are NaN then."""
+    """Measure a run: a dict with error_mm and rear_mm, RMS errors of front and rear running gear from the actual rails
+    (mm), activity_Nm, RMS of the front torque above 5 Hz (N m), and failed, also if a flange was reached; the others
+    are NaN then."""
     if run.failed or metrics.reaches_flange(run.series):
         return dict.fromkeys(("error_mm", "rear_mm", "activity_Nm"), float("nan")) | {"failed": True}, None
     front, rear = (1e3 * metrics.followed_rmse(run.series, gear) for gear in simulate.GEARS)
@@ -131,6 +129,7 @@ def table(runs: Sequence[Experiment]) -> pd.DataFrame:
 
 
 def main() -> None:
-    """Run all `experiments` and write data/results/loop_table.csv."""
+    """Command `loop`: compare controllers with sensors over seeds that tuning has not seen, and with the lower bound of
+    the error; writes data/results/loop_table.csv, a row per kind, case and controller (`table`)."""
     text = table(experiments()).to_csv(index=False, float_format="%.4g")
     write(paths.product("data/results/loop_table.csv"), text)

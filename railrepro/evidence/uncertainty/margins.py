@@ -19,10 +19,8 @@ LONGEST_MS = 15  # longest delay that is tried
 
 def delay_margin(setting: str, controller: str) -> float:
     """Find the largest delay (s) added to the torque command with which no flange is touched at 400 km/h on poor rail.
-
-    The result is a whole number of milliseconds up to `LONGEST_MS`; NaN if a flange is touched without added delay.
-    `setting` and `controller` (key of `registry.CONTROLLERS`) select the tuned set.
-    """
+    It is a whole number of milliseconds up to 15 ms; NaN if a flange is touched without added delay. `setting` ("paper"
+    or "loop") and `controller` (key of `registry.CONTROLLERS`) select the tuned parameters."""
     sensors = {"seed": 101} | ({} if setting == LOOP else {"perfect": True})
     scenario, quick = load_scenario("adhesion_loss").but(end_m=600.0), CONTROLLERS[controller].quick
 
@@ -37,7 +35,8 @@ def delay_margin(setting: str, controller: str) -> float:
 
 
 def main() -> None:
-    """Write data/results/margins.csv (`delay_margin`) and sensitivity.csv (`peaks`) of the tuned sets."""
+    """Command `margins`: write two tables of the tuned controllers to data/results: margins.csv, the `delay_margin` per
+    setting and controller, and sensitivity.csv, max |S| of the closed loop and disk margin, also per speed."""
     pairs = [*product([PAPER], (*SHOWN, *BY_SWARM)), *product([LOOP], SHOWN)]
     loops = [(*pair, speed) for pair in pairs for speed in (100.0, 200.0, 300.0, 400.0)]
 

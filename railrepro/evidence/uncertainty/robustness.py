@@ -48,7 +48,8 @@ LABELS = ("number", "setting", "profile", "ltv")
 
 
 def prior() -> tuple[Dimension, ...]:
-    """List the sampled parameters: those with a range in data/vehicle.toml, less wet and very poor rail, and `OPEN`."""
+    """List the sampled parameters with their ranges: those with a range in data/vehicle.toml, except of wet and very
+    poor rail, and the choices of experiments that the paper leaves open (`OPEN`)."""
     known = {dimension.name for dimension in OPEN}
     unused = ("adhesion.wet.", "adhesion.very_poor.")
     ranges = {k: v for k, v in sample_ranges().items() if not k.startswith(unused) and k not in known}
@@ -57,18 +58,16 @@ def prior() -> tuple[Dimension, ...]:
 
 @dataclass(frozen=True)
 class Sample:
-    """One sampled combination of the parameters that the paper does not publish.
-
-    `number` is its index in the Sobol sequence of `draw`, `setting` a column of verdicts. `values` are pairs of
-    parameter name (see `prior`) and value; parameters that are not named stay nominal.
-    """
+    """One sampled combination of the parameters that the paper does not publish. `number` is its index in the Sobol
+    sequence of `draw`, `setting` is "paper", "swarm" or "loop". `values` are pairs of parameter name (see `prior`) and
+    value; parameters that are not named stay nominal."""
 
     number: int
     setting: str
     values: tuple[tuple[str, float], ...]
 
     def world(self, seed: int | None = None) -> ProbeSetup:
-        """Make the `ProbeSetup` of the sample; `seed` is the seed of the sensor noise."""
+        """Make the car and controllers of the sample (`ProbeSetup`); `seed` is the seed of the sensor noise."""
         v = dict(self.values)
         if _PROFILE in v:
             v["profile"] = ("cone", "s1002")[int(v.pop(_PROFILE))]
@@ -79,7 +78,7 @@ class Sample:
 
 
 def draw(count: int, settings: Sequence[str] = COLUMNS) -> list[Sample]:
-    """Draw `count` quasi-random samples of `prior` (scrambled Sobol sequence), the same for each column of verdicts."""
+    """Draw `count` quasi-random samples of `prior` (scrambled Sobol sequence), the same for each of `settings`."""
     dimensions = prior()
     points = stats.qmc.Sobol(len(dimensions), seed=SEED).random(count)
     values = [tuple((d.name, d.value(float(u))) for d, u in zip(dimensions, point, strict=True)) for point in points]
@@ -87,7 +86,8 @@ def draw(count: int, settings: Sequence[str] = COLUMNS) -> list[Sample]:
 
 
 def evaluate(sample: Sample) -> dict:
-    """Retune the paper's three controllers slightly on a sampled car, then simulate `probe.probe` with another seed.
+    """Retune the paper's three controllers slightly on a sampled car, then simulate the runs that judge the statements,
+    with another seed of the noise.
 
     Returns a dict. Keys: number and setting of the sample; profile ("cone", "s1002"); ltv (variant of LTV-MPC); each
     name in `Sample.values`, with its value; "scenario/controller/metric", with metrics (SI) of `probe.probe`.
@@ -164,10 +164,10 @@ def shares(table: pd.DataFrame | None) -> pd.DataFrame:
 
 
 def decided(table: pd.DataFrame) -> pd.DataFrame:
-    """Add a column decided_by to `shares`: names of the parameters (of `prior`) on which a statement depends.
+    """Return the table of `shares` with a column decided_by: parameters (of `prior`) on which a statement depends.
 
-    decided_by has up to three names, joined by commas: parameters whose rank correlation with the truth of the
-    statement is significant (p < 0.001, Bonferroni). `table` has rows of `evaluate` in one setting.
+    It has up to three names, joined by commas, whose rank correlation with the truth of the statement is significant (p
+    < 0.001, Bonferroni). `table` has rows of `evaluate` in one setting.
     """
     result, judged = shares(table), holds(table)
     factors, names = table[[dimension.name for dimension in prior()]], []
@@ -201,11 +201,9 @@ BY_POLE = ("C04", "C05", "C17", "C20", "C31")  # statements that they may decide
 
 
 def over_poles() -> pd.DataFrame:
-    """Judge the statements `BY_POLE` by triple pole of NDI (`POLES`) on the nominal car in the setting `paper`.
-
-    One row per pole and statement. Columns poles (rad/s, as text; "swarm" for the parameters found by the swarm), id
-    (of the statement), value (in the unit of the statement), verdict (of `Statement.judge`).
-    """
+    """Judge five statements (`BY_POLE`) by triple pole of NDI (`POLES`) on the nominal car in the setting "paper". One
+    row per pole and statement. Columns poles (rad/s, as text; "swarm" for the parameters found by the swarm), id (of
+    the statement), value (in the unit of the statement), verdict (of `Statement.judge`)."""
     spread, known = Nominal().evidence(PAPER).spread, statements.load()
     worlds = {str(pole): setup({POLE: float(pole)}) for pole in POLES} | {SWARM: setup({}, SWARM)}
 
@@ -219,7 +217,9 @@ def over_poles() -> pd.DataFrame:
 
 
 def main() -> None:
-    """Write pole_verdicts (`over_poles`), robustness_samples (`evaluate`), robustness_claims (`decided`) as csv."""
+    """Command `robustness`: judge the statements on sampled cars and write three tables to data/results:
+    robustness_samples.csv, a row per sample with its metrics (`evaluate`); robustness_claims.csv, per statement the
+    share of samples in which it holds (`decided`); pole_verdicts.csv, verdicts by pole of NDI (`over_poles`)."""
     write(paths.product("data/results/pole_verdicts.csv"), over_poles().to_csv(index=False, float_format="%.6g"))
     finished = []
     for setting in COLUMNS:
