@@ -10,7 +10,7 @@ The names of a first program, as in `from railrepro import simulate, tuned`. A n
 - `load_track`, `lay`: tracks of data/tracks.toml, and a route: a track with set point and rails
 - `tuned`: a controller with its tuned parameters, data/tuned
 - `NDI`, `NMPC`, `LTVMPC`, `LqgPreview`: the controllers with your own parameters
-- `load_loop`, `Readings`: sensors of data/sensors.toml, and the same with noise of one random seed
+- `load_loop`, `Readings`: sensors and delays of data/sensors.toml, and the same for one run, with a seed of the noise
 - `SteppedCar`, `export_fmu`: the car without controller, as an object and as an FMU
 - `Export`: a controller as C source or as an FMU
 - `metrics`: error, effort and other metrics of a run

@@ -1,4 +1,4 @@
-"""The command line, `python -m railrepro COMMAND …`, which make calls."""
+"""The command line, `python -m railrepro COMMAND …`; the Makefile runs its commands."""
 
 import signal
 import sys

@@ -1,9 +1,7 @@
-"""Hashes of the code that this process runs, for the keys of caches.
-
-Files may be edited while a process imports them. They are therefore read when the package is imported, and checked
+"""Hashes of the code that this process runs, for the keys of caches: a result is stored under the code that computed
+it. Files may be edited while a process imports them. They are therefore read when the package is imported, and checked
 again before a cache is read or written. The content of a module is its text without comments, docstrings and empty
-lines. A regular expression extracts it, so that all versions of Python give the same hash.
-"""
+lines. A regular expression extracts it, so that all versions of Python give the same hash."""
 
 import hashlib
 import math
@@ -36,7 +34,7 @@ _DOTTED = re.compile(r"\brailrepro(?:\.\w+)+")
 
 
 def signature(file: str | os.PathLike) -> tuple[int, int] | None:
-    """Return the size of a file (bytes) and the time of its last change (ns), or None if there is no such file."""
+    """Size of a file (bytes) and time of its last change (ns), which show an edit; None if there is no such file."""
     with suppress(OSError, ValueError):
         status = os.stat(file)
         return status.st_size, status.st_mtime_ns
@@ -56,11 +54,9 @@ _edited, _checked = False, -math.inf
 
 
 def unchanged(within: float = 0.0) -> bool:
-    """Whether no source file has changed in size or time since this process imported the package.
-
+    """Whether no source file has changed since this process imported the package; else its results must not be cached.
     The first change prints a message to stderr. The result then stays False even if the file is restored, because a
-    module may have been imported in between. The files are not checked again within `within` seconds.
-    """
+    module may have been imported in between. The files are not checked again within `within` seconds."""
     global _edited, _checked
     if _edited or time.monotonic() - _checked < within:
         return not _edited
@@ -133,8 +129,8 @@ def _next(name: str) -> frozenset[str]:
 
 
 def reached(*texts: str) -> dict[str, str]:
-    """Return all files of this package that the Python sources `texts` import, directly or through other modules, as a
-    dict: name, such as "railrepro/clock.py" -> SHA-256 of its content."""
+    """Return all files of this package on which Python sources depend: those that the `texts` import, directly or
+    through other modules, as a dict: name, such as "railrepro/clock.py" -> SHA-256 of its content."""
     hashes: dict[str, str] = {}
     pending = [file for text in texts for file in _imported(content(text))]
     while pending:
@@ -147,7 +143,8 @@ def reached(*texts: str) -> dict[str, str]:
 
 @cache
 def reached_from(module: str) -> str:
-    """SHA-256 of all files that the module `module` of this package reaches, see `reached`, except `DRAWING`."""
+    """SHA-256 of a `module` of this package and all files of the package that it imports, directly or not, except those
+    that draw figures (`DRAWING`). It is the key of results that the module computes."""
     return _joined(reached(f"from {module} import {module}"))
 
 
@@ -165,7 +162,7 @@ def version() -> str:
 
 @cache
 def packages() -> dict[str, str]:
-    """Dict: name in `PACKAGES` -> installed version, "" for a package that is not installed."""
+    """Installed versions of packages that may change a number or a figure, such as NumPy: name -> version or ""."""
     from importlib import metadata  # takes long to import
 
     versions = dict.fromkeys(PACKAGES, "")

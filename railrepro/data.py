@@ -1,9 +1,7 @@
-"""Reading and writing: TOML and JSON become checked, frozen dataclasses; a file is written completely or not at all.
-
-A class marked with `table` states keys, types and defaults; `above` and `between` give a number its unit and range, and
+"""Reading and writing: TOML and JSON become checked, frozen dataclasses; a file is written completely or not at all. A
+class marked with `table` states keys, types and defaults; `above` and `between` give a number its unit and range, and
 `__post_init__` checks relations between keys. pydantic checks the content of a file and the arguments of the
-constructor in the same way. Every fault is an `InputError`.
-"""
+constructor in the same way. Every fault is an `InputError`."""
 
 import fcntl
 import functools
@@ -79,7 +77,7 @@ class Quantity:
         raise ValueError(f"is {reprlib.repr(value)}, {self.described(whole)} is needed")
 
     def described(self, whole: bool = False) -> str:
-        """Describe the range for a message, such as "a number above 0 up to 2 m"."""
+        """Describe the permitted range in words for an error message, such as "a number above 0 up to 2 m"."""
         number = f"a{' whole' * whole} number{' of either sign' * self.signed}"
         bounds = f"{'from' if self.closed else 'above'} {self.low:g}"
         bounds += f" up to {self.high:g}" if math.isfinite(self.high) else ""
@@ -87,20 +85,18 @@ class Quantity:
 
 
 def above(low: float, high: float, unit: str = "", signed: bool = False) -> Quantity:
-    """`Quantity` with low < x <= high, or low < |x| <= high with `signed`."""
+    """Annotation of a number x by its unit and range, low < x <= high, or low < |x| <= high with `signed`."""
     return Quantity(low, high, unit, signed=signed)
 
 
 def between(low: float, high: float, unit: str = "") -> Quantity:
-    """`Quantity` with low <= x <= high."""
+    """Annotation of a number x by its unit and range, low <= x <= high."""
     return Quantity(low, high, unit, closed=True)
 
 
 def require(what: str, value, allowed: Quantity | type, whole: bool = False) -> None:
-    """Raise InputError unless `value` is in the range `allowed`, or an instance of the class `allowed`.
-
-    `what` names the value in the message. With `whole` a number must be an integer.
-    """
+    """Raise InputError unless `value` is in the range `allowed`, or an instance of the class `allowed`. `what` names
+    the value in the message. With `whole` a number must be an integer."""
     if isinstance(allowed, Quantity):
         try:
             allowed.check(value, whole)
@@ -127,7 +123,8 @@ def _finite(value):
 
 
 def matching(pattern: str, needed: str) -> Any:
-    """Annotation of a text that matches a regular expression completely. `needed` describes it in the message."""
+    """Annotation of a text field that must match a regular expression completely. `needed` describes the permitted
+    texts in the error message."""
 
     def checked(text: str) -> str:
         if not re.fullmatch(pattern, text):
@@ -165,8 +162,9 @@ def _known_keys(cls: type, value):
 
 @typing.dataclass_transform(frozen_default=True, field_specifiers=(field,))
 def table(cls: type) -> type:
-    """Class decorator: make a frozen dataclass whose constructor checks and converts its arguments as `build` does with
-    the table of a file. InputError names class and field if a value is wrong or a field is unknown or missing."""
+    """Class decorator: make a frozen dataclass whose constructor checks and converts its arguments by their
+    annotations, as `build` does with a file. InputError names class and field if a value is wrong or a field is unknown
+    or missing."""
     cls._known_keys = pydantic.model_validator(mode="before")(classmethod(_known_keys))  # type: ignore
     made: Any = dataclass(frozen=True)(cls)
     names = [one.name for one in fields(made)]
@@ -286,7 +284,8 @@ def write(path: Path, content: str | bytes) -> None:
 
 @contextmanager
 def alone(lock: Path) -> Iterator[None]:
-    """Context manager: wait for an exclusive lock on the file `lock` and hold it. It also ends with the process."""
+    """Context manager: wait until no other process holds the lock file `lock`, and hold it, so that processes do one
+    task in turn. The lock is released at the end of the block or of the process."""
     with open(lock, "a", encoding="utf-8") as guard:
         fcntl.flock(guard, fcntl.LOCK_EX)
         yield
@@ -294,7 +293,7 @@ def alone(lock: Path) -> Iterator[None]:
 
 @contextmanager
 def scratch() -> Iterator[Path]:
-    """Context manager: make a temporary folder and remove it at the end. Those of killed processes are removed too."""
+    """Context manager: make a temporary folder and remove it at the end; also those that killed processes left."""
     for left in Path(tempfile.gettempdir()).glob("railrepro-scratch-*"):
         with suppress(OSError), _locked(left):
             shutil.rmtree(left, ignore_errors=True)

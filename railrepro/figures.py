@@ -28,7 +28,7 @@ _DPI = 250
 
 @files.table
 class Look:
-    """Look of a controller in all figures: an entry of data/style.toml, with properties of Matplotlib."""
+    """Label, colour, line and marker of a controller in all figures: an entry of data/style.toml, for Matplotlib."""
 
     label: str
     color: str
@@ -38,7 +38,7 @@ class Look:
 
     @property
     def line(self) -> dict:
-        """Keyword arguments of `Axes.plot` for a line."""
+        """Keyword arguments of Matplotlib's `Axes.plot` for a line: colour, style, width and label."""
         style = self.linestyle if isinstance(self.linestyle, str) else (self.linestyle[0], tuple(self.linestyle[1]))
         return {"color": self.color, "linestyle": style, "linewidth": self.linewidth, "label": self.label}
 
@@ -60,12 +60,12 @@ def new_figure(rows: int = 1, columns: int = 1, height: float = 1.5, width: floa
 
 
 def handles(axes: Iterable[Axes]) -> dict[str, Artist]:
-    """Return the entries of a common legend of several axes: label -> artist."""
+    """Collect the labelled curves of several axes for one common legend: label -> artist."""
     return {label: handle for axis in axes for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}
 
 
 def points(name: str, **options) -> dict:
-    """Keyword arguments of `Axes.plot` for markers without a line: look `name` of `LOOKS`, and further `options`."""
+    """Keyword arguments of `Axes.plot` for markers without a line: the look of controller `name`, then `options`."""
     look = LOOKS[name]
     dot = {"color": look.color, "marker": look.marker, "markersize": 7.0 if look.marker == "*" else 4.5}
     return dot | {"linestyle": "", "label": look.label} | options
@@ -79,8 +79,8 @@ def figure_number(name: str) -> str:
 
 
 def save_figure(figure: Figure, name: str, data: pd.DataFrame) -> None:
-    """Write a figure to figures/NAME.png and its plotted data to figures/NAME.csv, and show it in a notebook. Several
-    panels get letters. Columns of `data` have their unit in the name."""
+    """Write a figure to figures/NAME.png and its plotted data, whose columns have their unit in the name, to
+    figures/NAME.csv. Several panels get letters a, b, …. In a notebook the figure is shown."""
     from IPython import get_ipython  # not installed with the library
     from IPython.display import display
 
@@ -117,7 +117,7 @@ def _fix_layout(figure: Figure) -> None:
 
 
 def clip(axes: Iterable[Axes], low: float, high: float) -> None:
-    """Limit the ordinate of each of `axes` to low … high, and write the extreme value of curves that go beyond."""
+    """Limit the ordinate of each of `axes` to low … high, and write the extreme value of each curve beyond it."""
     look = {"xycoords": "axes fraction", "fontsize": 6, "ha": "right", "color": "0.2"}
     look |= {"bbox": {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5}}
     for axis in axes:

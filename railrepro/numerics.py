@@ -1,9 +1,7 @@
-"""Same last digits on all machines: environment variables for one thread and the same kernels of OpenBLAS and NumPy.
-
-Libraries read the variables when they load. The commands of `python -m railrepro` set them (`fix`); make takes those
-that this module prints as a script. All processors with AVX2 use the same kernels, also those with wider registers.
-Without the variables the contact table differs by rounding.
-"""
+"""Same last digits of results on all machines: environment variables for one thread and the same kernels (routines for
+one type of processor) in OpenBLAS and NumPy. Libraries read the variables when they load. The commands of `python -m
+railrepro` set them (`fix`); make takes those that this module prints as a script. All processors with AVX2 use the same
+kernels, also those with wider registers. Without the variables the contact table differs by rounding."""
 
 import os
 import sys
@@ -22,17 +20,19 @@ _PROCESSOR = Path("/proc/cpuinfo")
 
 @cache
 def has_avx2() -> bool:
-    """Whether /proc/cpuinfo lists AVX2; False without that file."""
+    """Whether the processor has AVX2 (vector instructions), from /proc/cpuinfo; False without that file."""
     return _PROCESSOR.exists() and "avx2" in _PROCESSOR.read_text(encoding="utf-8").split()
 
 
 def variables() -> dict[str, str]:
-    """Dict of environment variables: `ALWAYS`, and on processors with AVX2 those of `WITH_AVX2` that are not set."""
+    """Environment variables that make results repeatable, name -> value: one thread for sums (`ALWAYS`), and on
+    processors with AVX2 its kernels in OpenBLAS and NumPy (`WITH_AVX2`), without those that the caller has set."""
     return ALWAYS | {name: value for name, value in WITH_AVX2.items() if has_avx2() and name not in os.environ}
 
 
 def fix() -> None:
-    """Set `variables` for this process and its children, unless NumPy is loaded, when it is too late."""
+    """Set the environment variables `variables` for this process and its children, so that results have the same last
+    digits on all machines. Without effect if NumPy is loaded, as it has read them."""
     if "numpy" not in sys.modules:
         os.environ.update(variables())
 

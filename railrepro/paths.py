@@ -1,10 +1,7 @@
-"""Paths of inputs and products, and the record of files that a notebook reads.
-
-The checkout is the folder above this package, or `RAILREPRO_ROOT`. An installed package has no checkout: it contains a
-copy of the inputs and writes to the working folder. If `RAILREPRO_OUTPUT` is set, `product` writes below that folder
-and `source` prefers files there. A notebook in JupyterLab writes below build/tried/NAME, as only the chain, which runs
-notebooks completely, renews the products in the checkout.
-"""
+"""Paths of inputs and products, and the record of files that a notebook reads. The checkout is the folder above this
+package, or `RAILREPRO_ROOT`. An installed package has no checkout: it contains a copy of the inputs and writes to the
+working folder. If `RAILREPRO_OUTPUT` is set, `product` writes below that folder and `source` prefers files there. A
+notebook in JupyterLab writes below build/tried/NAME, as only the complete run of all notebooks renews the products."""
 
 import os
 import sys
@@ -29,7 +26,7 @@ Value = TypeVar("Value")
 
 
 def product(relative: str) -> Path:
-    """Return the path to which a product, such as "data/results/f.csv", is written, and make missing folders."""
+    """Return the path to write a product, such as "data/results/f.csv", in the output folder, which is made."""
     path = (_redirected() or ROOT) / relative
     path.parent.mkdir(parents=True, exist_ok=True)
     return path
@@ -81,10 +78,9 @@ if os.environ.get(READS):
 
 
 class Entries(UserDict[str, Value]):
-    """Dict of the entries of the data file `file`, such as "data/scenarios.toml", by name.
-
-    A look-up appends the line "file<tab>name" to the log of `READS`, an iteration the line "file<tab>*".
-    """
+    """Dict of the entries of the data file `file`, such as "data/scenarios.toml", that records which of them a notebook
+    uses: a look-up appends the line "file<tab>name" to the log of `READS`, an iteration "file<tab>*". So a change of an
+    entry concerns only the notebooks that used it."""
 
     def __init__(self, entries: dict[str, Value], file: str):
         super().__init__(entries)

@@ -1,9 +1,7 @@
-"""Dataclasses of quantities: names, order and units of the entries of a vector are stated once.
-
-A field is a number, `Annotated[Scalar, unit]` or `Annotated[Scalar, unit, meaning]`; a list with one element for each
-label, `Annotated[list[Scalar], labels]`; or another such dataclass. The name of an entry is the path to it: "front.y"
-is `y` of the field `front`, "tau.front_le" is the element `front_le` of the list `tau`.
-"""
+"""Dataclasses of quantities: names, order and units of the entries of a vector are stated once, as the fields of a
+class. A field is a number, `Annotated[Scalar, unit]` or `Annotated[Scalar, unit, meaning]`; a list with one element for
+each label, `Annotated[list[Scalar], labels]`; or another such dataclass. The name of an entry is the path to it:
+"front.y" is `y` of the field `front`, "tau.front_le" is the element `front_le` of the list `tau`."""
 
 from collections.abc import Iterable
 from dataclasses import fields, is_dataclass, make_dataclass
@@ -23,7 +21,8 @@ Group = TypeVar("Group")
 
 
 def reannotated(of: type[Group], **annotations: Any) -> type[Group]:
-    """Make a subclass of a dataclass of quantities with other annotations of some fields, in the same order."""
+    """Make a subclass of a dataclass of quantities in which the fields `annotations` have another type or unit, such as
+    a list with other labels. The order of the fields stays."""
     return make_dataclass(of.__name__, annotations.items(), bases=(of,), frozen=True)
 
 
@@ -44,8 +43,8 @@ def _members(of: Any) -> list[tuple[str, type | None, tuple[str, ...] | None, An
 
 
 def notes(of: type) -> list[tuple[str, Any]]:
-    """Return the pairs (name, note) of all entries in order. The note is the unit (str) or the `data.Quantity` of the
-    entry; its type where it has neither, None for an element of a list."""
+    """Return name and unit of all numbers in a dataclass of quantities, in order, such as ("front.y", "m"). In place of
+    the unit is a field's `data.Quantity` if it has one, its type if it has neither, None for an element of a list."""
     result: list[tuple[str, Any]] = []
     for name, inner, labels, note in _members(of):
         if inner:
@@ -56,13 +55,13 @@ def notes(of: type) -> list[tuple[str, Any]]:
 
 
 def names(of: type) -> tuple[str, ...]:
-    """Return the names of all entries in order, see the module. In a field `Annotated[dataclass, prefix]` the names
-    begin with this prefix instead of the name of the field."""
+    """Return the names of all numbers in a dataclass of quantities, in order, such as "front.y". In a field
+    `Annotated[dataclass, prefix]` the names begin with this prefix instead of the name of the field."""
     return tuple(name for name, _ in notes(of))
 
 
 def pack(values: Any) -> list:
-    """Return the entries of an instance as a flat list in the order of `names`."""
+    """Return all numbers of an instance of a dataclass of quantities as a flat list in the order of `names`."""
     result: list = []
     for name, inner, labels, _ in _members(type(values)):  # type: ignore[arg-type]
         value = getattr(values, name)
@@ -71,7 +70,7 @@ def pack(values: Any) -> list:
 
 
 def unpack(of: type[Group], entries: Iterable) -> Group:
-    """Make an instance of the dataclass `of` from its entries in the order of `names`."""
+    """Make an instance of the dataclass of quantities `of` from a flat list of its numbers, as `pack` returns it."""
     source = iter(entries)
     made = object.__new__(of)
     for name, inner, labels, _ in _members(of):  # type: ignore[arg-type]
@@ -83,16 +82,16 @@ def unpack(of: type[Group], entries: Iterable) -> Group:
 
 
 def indices(of: type[Group]) -> Group:
-    """Make an instance of the dataclass `of` in which each entry is its own index in the list of `pack`."""
+    """Make an instance of the dataclass `of` in which each number is its own position in the list of `pack`."""
     return unpack(of, range(len(names(of))))
 
 
 def symbols(of: type[Group], name: str) -> tuple[ca.SX, Group]:
-    """Return the pair: CasADi column vector SX called `name`; instance of `of` whose entries are its elements."""
+    """Make a CasADi column vector (SX) called `name`, and an instance of the dataclass `of` that has its elements."""
     vector = ca.SX.sym(name, len(names(of)))
     return vector, unpack(of, ca.vertsplit(vector))
 
 
 def named(columns: Iterable[str], vector: ca.SX) -> dict[str, ca.SX]:
-    """Return the elements of an SX vector as a dict with the names `columns`."""
+    """Return the elements of an SX vector as a dict: name in `columns` -> element."""
     return dict(zip(columns, ca.vertsplit(vector), strict=True))

@@ -56,7 +56,7 @@ def c_text(*more: ca.Function) -> str:
 
 
 def compile_ahead() -> None:
-    """Start to compile the car in a thread, unless it is loaded already."""
+    """Start to compile the car in a thread, unless it is loaded already, so that the first `SteppedCar` waits less."""
     if not library.cache_info().currsize:
         cache.build_ahead(c_text())
 
@@ -170,7 +170,7 @@ class SteppedCar:
         raise TypeError("a SteppedCar cannot be pickled: send its route, speed and vehicle, and make it there")
 
     def look_up(self) -> None:
-        """Look up the rows of the route and of the contact table at `state`. Call it after `state` was written."""
+        """Update track data and contact geometry to the present `state`. Call it after you wrote to `state`."""
         for _ in range(2):  # contact cells depend on the irregularities in the track cells
             self._library.car_look_up(self._pointer)
 
@@ -219,11 +219,13 @@ class SteppedCar:
 
     @property
     def energies(self) -> dict[str, float]:
-        """Energy and powers at the present state as a dict with the keys `ENERGIES`."""
+        """Energies at the present state as a dict: "mechanical_J", kinetic and potential energy (J); "motor_W", power
+        of the motors; "damping_W" and "creep_W", power lost in dampers and by creep (W)."""
         return dict(zip(ENERGIES, np.array(self.model.energy(*self.inputs())).ravel().tolist(), strict=True))
 
     def inputs(self) -> tuple[np.ndarray, ...]:
-        """Return copies of the arguments (x, u, rows, contacts, par) of the functions of `Car` at the present state."""
+        """Return copies of the arguments of the functions of `Car` at the present state: state x, torque commands u,
+        rows of the route and of the contact table, parameters par."""
         self._library.car_look_up(self._pointer)
         rows, contacts = self._arrays["rows"].T, self._arrays["contacts"].T
         return tuple(a.copy() for a in (self.state, self.torque, rows, contacts, self.parameters))

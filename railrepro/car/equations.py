@@ -33,7 +33,8 @@ BODIES = ("body", *GEARS)
 
 @dataclass(frozen=True)
 class CarState:
-    """State of the car: its bodies, speeds `w` of the wheels (rad/s), traction-positive motor torques `tau` (N m)."""
+    """State of the car: 12 coordinates of the car body and of each running gear; angular speeds `w` of the four wheels
+    (rad/s) and their motor torques `tau` (N m), positive in traction."""
 
     body: Coordinates
     front: Coordinates
@@ -51,7 +52,7 @@ FLOOR = {"floor_front": 0.5, "floor_centre": 0.0, "floor_rear": -0.5}
 
 @dataclass(frozen=True)
 class Rails:
-    """Adhesion sets of the rail (`good`) and of its slippery stretches (`poor`)."""
+    """Parameters of the creep law on the normal rail (`good`) and on the slippery stretches of a track (`poor`)."""
 
     good: AdhesionSet
     poor: AdhesionSet
@@ -62,7 +63,8 @@ _GRAVITY = dict(notes(Environment))["gravity"]
 
 @dataclass(frozen=True)
 class CarParameters:
-    """Run-time parameters of the car (SI), as numbers or symbols."""
+    """Parameters of car, rail adhesion and gravity (SI), as numbers or CasADi symbols. They are inputs of the compiled
+    equations, so that another vehicle needs no compilation."""
 
     body: CarBody
     gear: Gear
@@ -82,9 +84,10 @@ HOLDING_SPEED = 0.2
 
 
 def mirrored() -> dict[str, list[int]]:
-    """Return the permutations that exchange front and rear running gear, for the argument `mirrored` of `pairs_text`.
-    Each of the inputs "x", "u", "rows", "contacts" of the functions of `Car` has a list. Its element i is the index of
-    the same quantity at the other running gear, or i for the car body. Matrices count column by column."""
+    """Return how the inputs of the functions of `Car` change when front and rear running gear are exchanged, so that
+    compiled code can compute both at once (`pairs_text`). Each of the inputs "x", "u", "rows", "contacts" has a list.
+    Its element i is the index of the same quantity at the other running gear, or i for the car body. Matrices count
+    column by column."""
     at, wheels = unpack(CarState, range(len(STATES))), [2, 3, 0, 1]
     exchanged = CarState(at.body, at.rear, at.front, [at.w[i] for i in wheels], [at.tau[i] for i in wheels])
     rows = np.arange(len(BODIES) * len(route.COLUMNS)).reshape(len(BODIES), -1)[[0, 2, 1]]
@@ -94,7 +97,7 @@ def mirrored() -> dict[str, list[int]]:
 
 
 def indices(*names: str) -> list[int]:
-    """Return the indices of the states with these names in the state vector."""
+    """Return the positions in the state vector of the car of the states with these names, such as "front.y"."""
     return [INDEX[name] for name in names]
 
 
@@ -154,7 +157,7 @@ class _Elements:
 
 @stored
 def car() -> Car:
-    """Derive the equations of motion, or read them from disk."""
+    """Return the equations of motion of the car as CasADi functions, derived or read from disk."""
     (x, state), u = symbols(CarState, "x"), ca.SX.sym("u", len(WHEELS))
     rows = ca.SX.sym("rows", len(route.COLUMNS), len(BODIES))
     contacts = ca.SX.sym("contacts", len(CELL_COLUMNS), len(WHEELS))

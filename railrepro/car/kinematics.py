@@ -13,7 +13,7 @@ from railrepro.track.irregularity import CHANNELS
 
 @dataclass(frozen=True)
 class Coordinates:
-    """State of a rigid body."""
+    """State of a rigid body: position and angles (yaw, pitch, roll) in the track frame, velocity, angular velocity."""
 
     s: Annotated[Scalar, "m", "track coordinate"]
     y: Annotated[Scalar, "m", "lateral position in the track frame at s"]

@@ -13,7 +13,8 @@ DERAILED = 0.030
 
 @dataclass(frozen=True)
 class GearStates:
-    """States of a running gear, in the order of the states of the control model, with ranges beyond any run."""
+    """State of a running gear, which the controllers measure: track coordinate p, heading psi_Ax, speed v, yaw rate
+    psidot_Ax, lateral displacement y and yaw angle psi_TrAx against the track. The ranges are wider than any run."""
 
     p: Annotated[Scalar, between(-1e6, 1e6, "m"), "track coordinate"]
     psi_Ax: Annotated[Scalar, between(-1e3, 1e3, "rad"), "heading"]
@@ -25,7 +26,7 @@ class GearStates:
 
 @dataclass(frozen=True)
 class GearOutputs(GearStates):
-    """Outputs for a running gear."""
+    """Outputs for a running gear: its state, its roll angle, and the lateral irregularity of the rails below it."""
 
     phi: Annotated[Scalar, "rad", "roll angle against the track"]
     rail_y: Annotated[Scalar, "m", "lateral offset of the rails from the ideal track"]
@@ -33,7 +34,7 @@ class GearOutputs(GearStates):
 
 @dataclass(frozen=True)
 class WheelOutputs:
-    """Outputs for a wheel and its contact with the rail."""
+    """Outputs for a wheel and its contact with the rail: speed, motor torque, contact forces, creepages, angle."""
 
     w: Annotated[Scalar, "rad/s", "angular speed"]
     tau: Annotated[Scalar, "N m", "motor torque"]
@@ -51,7 +52,7 @@ class WheelOutputs:
 
 @dataclass(frozen=True)
 class SuspensionOutputs:
-    """Outputs for the suspension of a running gear."""
+    """Outputs for the suspension of a running gear: its yaw angle and lateral deflection against the car body."""
 
     yaw_to_body: Annotated[Scalar, "rad", "yaw angle of the running gear against the car body"]
     sway: Annotated[Scalar, "m", "lateral deflection"]
@@ -59,7 +60,7 @@ class SuspensionOutputs:
 
 @dataclass(frozen=True)
 class BodyOutputs:
-    """Outputs for the car body."""
+    """Outputs for the car body: track coordinate, displacements and angles against the track, and speed."""
 
     s: Annotated[Scalar, "m", "track coordinate"]
     y: Annotated[Scalar, "m", "lateral displacement"]
@@ -81,7 +82,8 @@ class FloorOutputs:
 
 @dataclass(frozen=True)
 class Outputs:
-    """All outputs of the car, with names such as "front.y", "front_le.N" and "floor_rear.ay"."""
+    """All outputs of the car: both running gears, four wheels (left and right: "le", "ri"), suspensions, car body, and
+    the accelerations at three points of the floor. Names are such as "front.y", "front_le.N" and "floor_rear.ay"."""
 
     front: GearOutputs
     rear: GearOutputs

@@ -1,10 +1,9 @@
 """From C source text to a shared object, cached by content.
 
 The key of the cache is the source text, the compiler with its version and flags, and the architecture. Processes that
-need the same object wait for the one that compiles it. The source stays beside its object.
-
-An object is loaded only with its seal, a hash of its name and content that needs a secret key of the user. One that is
-damaged, or that another user or an archive brought, is compiled again.
+need the same object wait for the one that compiles it. The source stays beside its object. An object is loaded only
+with its seal, a hash of its name and content that needs a secret key of the user. One that is damaged, or that another
+user or an archive brought, is compiled again.
 """
 
 import hashlib
@@ -80,8 +79,8 @@ def flags(portable: bool = False) -> tuple[str, ...]:
 
 @lru_cache
 def identity(command: str, options: tuple[str, ...]) -> str:
-    """Identify a compilation apart from its source: text with version of the compiler, flags and architecture.
-    `command` is a result of `compiler`, `options` are the flags. InputError if `command --version` fails."""
+    """Text for the key of a compiled object: version of the compiler `command` (a result of `compiler`), the flags
+    `options` and the architecture. InputError if `command --version` fails."""
     try:
         done = subprocess.run([*_call(command), "--version"], capture_output=True, text=True, check=True, timeout=30)
     except (OSError, subprocess.SubprocessError, UnicodeDecodeError) as error:
@@ -90,8 +89,8 @@ def identity(command: str, options: tuple[str, ...]) -> str:
 
 
 def folders(name: str) -> Iterator[Path]:
-    """Yield the folders `name` that only this user can write: in `build` of a checkout, then in the user's cache. They
-    are made if need be. One that others can write, or that nobody can, is left out."""
+    """Yield the possible places of a cache folder `name`: in `build` of a checkout, then in the user's cache. They are
+    made if need be. One that other users can write, or that nobody can, is left out."""
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # stays relative where there is no home
     places = [] if paths.INSTALLED else [paths.BUILD / name]
     places += [Path(home, "railrepro", name)] if os.path.isabs(home) else []
@@ -113,14 +112,15 @@ def cache_folder() -> Path:
 
 
 def user_folder() -> Path:
-    """Return the folder in the user's cache, which no copied `build` replaces; `cache_folder` if it is not writable."""
+    """Return the folder in the user's cache, for the secret key and what must not come with a copied checkout;
+    `cache_folder` if it is not writable."""
     return [cache_folder(), *folders("compiled")][-1]
 
 
 def seal(name: str, content: bytes) -> bytes:
-    """Compute the seal of a file with this name and content: 32 bytes that need the secret key of the user (HMAC). The
-    key is made at the first use and stays in `user_folder`. If this is `cache_folder`, seals show damage, but not that
-    objects and key came from others."""
+    """Compute the seal of a cached file with this name and content: 32 bytes that only this user's secret key gives
+    (HMAC), so that a file from others is not loaded. The key is made at the first use and stays in `user_folder`. If
+    this is `cache_folder`, seals show damage, but not that objects and key came from others."""
     return hmac.digest(_key(user_folder() / "key"), name.encode() + b"\0" + content, "sha256")
 
 
@@ -144,12 +144,10 @@ def _is_sealed(target: Path) -> bool:
 
 
 def build(text: str, portable: bool = False, webassembly: bool = False, triple: str = "") -> Path:
-    """Compile a C source text, unless its object is in the cache with its seal, and return the path of the object.
-
-    A `portable` object is for any processor of the architecture, see `flags`. The packaged compiler makes it as a
-    module of `webassembly`, or for another platform, the `triple`, such as "x86_64-windows-gnu". InputError if there is
-    no compiler or no folder, or the compiler refuses the source.
-    """
+    """Compile a C source text, unless its object is in the cache with its seal, and return the path of the shared
+    object. A `portable` object is for any processor of the architecture, see `flags`. The packaged compiler makes it as
+    a module of `webassembly`, or for another platform, the `triple`, such as "x86_64-windows-gnu". InputError if there
+    is no compiler or no folder, or the compiler refuses the source."""
     if (webassembly or triple) and not found(PACKAGED):
         product = f"shared objects for {triple}" if triple else "modules of WebAssembly"
         raise InputError(f"{product} need `pip install railrepro[compiler]`")

@@ -44,7 +44,7 @@ def enumeration(names: Iterable[str]) -> str:
 
 
 def source_text(functions: Sequence[ca.Function]) -> str:
-    """Write C source of CasADi functions, after that of `ELEMENTARY`."""
+    """Write CasADi functions as one C source text, after elementary functions that round alike on all machines."""
     generator = ca.CodeGenerator("generated", {"with_header": False, "verbose": False})
     for function in functions:
         generator.add(function)
@@ -58,10 +58,8 @@ def library(functions: Sequence[ca.Function], extra: str = "") -> ctypes.CDLL:
 
 def structure(name: str, text: str, sizes: Mapping[str, int], **kinds: Any) -> Any:
     """Make the `ctypes.Structure` class of a struct that C source `text` defines as `typedef struct { … } name;`.
-
     Members may be double, casadi_int, pointers, types in `kinds` (C type -> its ctypes type), and arrays of these.
-    `sizes` maps C constants in the length of an array to their values.
-    """
+    `sizes` maps C constants in the length of an array to their values."""
     known = {"double": ctypes.c_double, "casadi_int": ctypes.c_longlong} | kinds
     text = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
     (body,) = re.findall(rf"typedef struct(?: \w+)? {{([^{{}}]*)}} {name};", text)
@@ -77,7 +75,7 @@ def structure(name: str, text: str, sizes: Mapping[str, int], **kinds: Any) -> A
 
 
 def initialiser(of: ctypes.Structure) -> str:
-    """Write the C initialiser `{.name = value, …}` of the single doubles and integers in a struct instance."""
+    """Write a struct instance as C text `{.name = value, …}`: its doubles and integers, not its arrays and pointers."""
     scalars = [name for name, kind, *_ in of._fields_ if kind in (ctypes.c_double, ctypes.c_longlong)]
     return f"{{{', '.join(f'.{name} = {getattr(of, name)!r}' for name in scalars)}}}"
 
@@ -90,8 +88,8 @@ def arrays(of: ctypes.Structure) -> dict[str, np.ndarray]:
 
 
 def for_c(what: str, value: Any, shape: tuple[int, ...], largest: float = sys.float_info.max) -> np.ndarray:
-    """Copy an argument as a float64 array. InputError, with the name `what`, unless it has this shape and consists of
-    numbers up to `largest` in magnitude."""
+    """Copy an argument for C as a float64 array. InputError, which calls it `what`, unless it has this shape and
+    consists of numbers up to `largest` in magnitude."""
     try:
         given = np.asarray(value)
     except (TypeError, ValueError):  # a list of lists of different lengths
@@ -104,8 +102,8 @@ def for_c(what: str, value: Any, shape: tuple[int, ...], largest: float = sys.fl
 
 
 def in_c(name: str, largest: float = sys.float_info.max) -> Any:
-    """Make a property of a class whose `_arrays` are those of `arrays`. It is the view `name`, and an assignment copies
-    numbers up to `largest` in magnitude into it."""
+    """Make a property for a class that wraps a C struct: the array `name` in `self._arrays`, a dict as from `arrays`.
+    An assignment copies numbers up to `largest` in magnitude into it; InputError for others or another shape."""
 
     def assign(instance: Any, value: Any) -> None:
         array = instance._arrays[name]

@@ -32,7 +32,8 @@ _OPERATIONS = {
 
 
 class Statements:
-    """C statements `lines` that each define a constant: a double or, if `wide`, a vector `lanes_t` (lanes.h)."""
+    """C statements `lines` that grow by `operation`. Each defines a constant: a double or, if `wide`, a vector
+    `lanes_t` of several doubles (lanes.h)."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -56,7 +57,8 @@ class Statements:
 
 
 def lanes_header(lanes: int = 4) -> str:
-    """Write the C that comes between `codegen.source_text` and a text of `lanes_text` (4 lanes) or `pairs_text` (2)."""
+    """Write the C definitions that a text of `lanes_text` (4 lanes) or `pairs_text` (2) needs before it, to be placed
+    after `codegen.source_text`."""
     return f"#define LANES {lanes}\n{Path(__file__).with_name('lanes.h').read_text(encoding='utf-8')}{ELEMENTARY}"
 
 

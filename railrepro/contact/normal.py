@@ -33,14 +33,12 @@ def hertz(curvature_x: float, curvature_y: float, load: float, modulus: float) -
 
 @dataclass(frozen=True)
 class Patch:
-    """Contact patch of a wheel on a rail.
-
-    `position` is the lateral distance of the centre of pressure from the track centre (m). `height` is the rolling
-    radius at which the patch rolls without longitudinal force, minus the nominal radius (m): mean over the strips,
-    weighted by their creep stiffness, which grows as their load to the power 2/3. `slope` is that of the wheel profile,
-    mean over the pressure (-); tangent of the angle of the normal force. `strips`, shape (n,), is the lateral position
-    of each strip in the contact plane, 0 at the centre of pressure; `half_lengths` half its length along the rail (m).
-    """
+    """Contact patch of a wheel on a rail. `position` is the lateral distance of the centre of pressure from the track
+    centre (m). `height` is the rolling radius at which the patch rolls without longitudinal force, minus the nominal
+    radius (m): mean over the strips, weighted by their creep stiffness, which grows as their load to the power 2/3.
+    `slope` is that of the wheel profile, mean over the pressure (-); tangent of the angle of the normal force.
+    `strips`, shape (n,), is the lateral position of each strip in the contact plane, 0 at the centre of pressure;
+    `half_lengths` half its length along the rail (m)."""
 
     position: float
     height: float
@@ -50,14 +48,13 @@ class Patch:
 
 
 def elastic_contact(position, height, slope, rail_depth, radius: float, load: float, modulus: float) -> Patch:
-    """Contact of a wheel profile with a rail profile: elastic half spaces in the plane of the mean contact angle.
-
-    A coarse grid locates the contact. A fine grid then covers it with the same number of cells for every patch. Source:
-    Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact, ch. 4.
+    """Contact of a wheel profile with a rail profile: elastic half spaces in the plane of the mean contact angle. A
+    coarse grid locates the contact. A fine grid then covers it with the same number of cells for every patch.
 
     Arrays have the shape (n,): `position`, lateral distance from the track centre, uniformly spaced (m); `height`,
     radius of the wheel profile minus the nominal `radius` (m), and its `slope` (-); `rail_depth` below the top of the
-    rail (m). `load` is the normal force (N), `modulus` the contact modulus E* (Pa).
+    rail (m). `load` is the normal force (N), `modulus` the contact modulus E* (Pa). Source: Kalker 1990,
+    Three-Dimensional Elastic Bodies in Rolling Contact, ch. 4.
     """
     overlap = height - rail_depth
     gap, first = overlap.max() - overlap, int(np.argmax(overlap))

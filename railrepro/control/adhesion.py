@@ -23,7 +23,8 @@ SLOWEST = 1.0
 
 @dataclass(frozen=True)
 class AdhesionInputs:
-    """Inputs of the adhesion law of one running gear. Lists are [left, right] wheel."""
+    """Inputs of the adhesion law of one running gear: adhesion `f` and slip `s` of its [left, right] wheel, set point,
+    speed, last base torque, and data of the vehicle."""
 
     f: Annotated[list[Scalar], SIDES, "adhesion (-), traction-positive"]
     s: Annotated[list[Scalar], SIDES, "slip (v - w r)/v (-)"]
@@ -37,7 +38,7 @@ class AdhesionInputs:
 
 @dataclass(frozen=True)
 class AdhesionMemory:
-    """States of the adhesion law of one running gear. Lists are [left, right] wheel."""
+    """What the adhesion law keeps from cycle to cycle: filtered adhesion and slip of the [left, right] wheel."""
 
     f: Annotated[list[Scalar], SIDES, "low-pass filtered adhesion (-)"]
     s: Annotated[list[Scalar], SIDES, "low-pass filtered slip (-)"]
@@ -45,7 +46,7 @@ class AdhesionMemory:
 
 @table
 class AdhesionSettings:
-    """Parameters of the adhesion law. InputError for a value of a wrong type or out of range."""
+    """Parameters of the adhesion law: torque steps, corridor, filter, dead zone. InputError for a wrong value."""
 
     raise_step: _STEP = 2.0
     """Increase of the base torque while the adhesion is below the corridor (N m per ms), p1 of the paper."""

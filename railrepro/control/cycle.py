@@ -28,10 +28,8 @@ def _sizes(signature: law.LawSignature, parameters: int) -> dict[str, int]:
 
 def c_text(signature: law.LawSignature, parameters: int, planners: str = SLOTS) -> str:
     """C text of the control cycle of both gears, to be placed after call.h and the C generated from `law.function`.
-
     `parameters` is the number of run-time parameters, including the gains of the law. `planners` is the C of the slower
-    controllers: the type planner_memory_t with the functions planner_reset, planner_link and planner_sample.
-    """
+    controllers: the type planner_memory_t with the functions planner_reset, planner_link and planner_sample."""
     measured, memory, read = indices(interface.Measured), indices(signature.Memory), interface.READ
     places: dict[str, int | str] = {"GEAR_MEASURED": measured.rear.p - measured.front.p, "BASE": memory.front.u}
     places |= {"GEAR_MEMORY": memory.rear.u - memory.front.u, "N_READINGS": len(read), "ESTIMATED": 0, "READ": 0}
@@ -43,7 +41,8 @@ def c_text(signature: law.LawSignature, parameters: int, planners: str = SLOTS) 
 
 @lru_cache
 def structures(signature: law.LawSignature) -> tuple[Any, Any]:
-    """Make the ctypes classes of the C structs `planner_memory_t` and `controller_t` for a 1 kHz law."""
+    """Make the ctypes classes of two C structs of the control cycle with a 1 kHz law: `planner_memory_t`, the memory of
+    the slower controllers, and `controller_t`, the whole controller."""
     slot = codegen.structure("planner_memory_t", SLOTS, {}, sample_t=ctypes.c_void_p)
     sizes = _sizes(signature, len(names(signature.Gains)))
     return slot, codegen.structure("controller_t", _SOURCE, sizes, planner_memory_t=slot)

@@ -11,7 +11,7 @@ from railrepro.quantities import Scalar, names
 
 @dataclass(frozen=True)
 class MeasuredWheel:
-    """Measured quantities of a wheel, see `car.outputs.WheelOutputs`."""
+    """What the control law measures of a wheel: adhesion (creep force over normal force), slip, angular speed."""
 
     adhesion: Annotated[Scalar, between(-10.0, 10.0, "-")]
     sx: Annotated[Scalar, between(-1e3, 1e3, "-"), "slip"]
@@ -20,8 +20,8 @@ class MeasuredWheel:
 
 @dataclass(frozen=True)
 class Measured:
-    """Outputs of the car that the law measures. An exported controller refuses values out of range, and a `p` that is
-    not on its route."""
+    """What the control law measures of the car: the state of both running gears; adhesion, slip and speed of the
+    wheels. An exported controller refuses values out of range, and a track coordinate `p` that is not on its route."""
 
     front: GearStates
     rear: GearStates
@@ -33,7 +33,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits at which a run ends."""
+    """Limits at which a run ends: lateral displacement of a running gear, end of the track, lowest speed."""
 
     lateral: Annotated[Scalar, "m", "largest lateral displacement of a running gear"]
     track_end: Annotated[Scalar, "m", "largest track coordinate of the front running gear"]

@@ -21,7 +21,7 @@ from railrepro.vehicle.parameters import Vehicle
 
 @dataclass(frozen=True)
 class GearInputs:
-    """Inputs of a 1 kHz law about its running gear. The first six are the states of the control model."""
+    """Inputs of a 1 kHz law about its running gear: its six states (`x` to `psi`), acceleration, held torque."""
 
     x: Annotated[Scalar, "m", "coordinate along the track"]
     psi_Ax: Annotated[Scalar, "rad", "heading of the running gear"]
@@ -35,7 +35,8 @@ class GearInputs:
 
 @dataclass(frozen=True)
 class TrackInputs:
-    """Inputs of a 1 kHz law about track and set point at the position of its running gear."""
+    """Inputs of a 1 kHz law at the position of its gear: heading, superelevation and gradient of the track, heading of
+    the car body, set point `y_ref` of the lateral displacement, and their derivatives along the track."""
 
     psi_Tr: Annotated[Scalar, "rad", "heading of the track"]
     dpsi_dp: Annotated[Scalar, "1/m", "curvature of the track"]
@@ -54,7 +55,7 @@ class TrackInputs:
 
 @dataclass(frozen=True)
 class ModelInputs:
-    """Inputs of a 1 kHz law about the nominal vehicle."""
+    """Inputs of a 1 kHz law about the nominal vehicle: inertias, yaw suspension and wheel geometry of a gear."""
 
     J_eff: Annotated[Scalar, "kg m2", "effective yaw inertia of a running gear"]
     k_sz: Annotated[Scalar, "N m/rad", "yaw stiffness of the suspension"]
@@ -72,8 +73,8 @@ GEAR, ROAD, MODEL = names(GearInputs), names(TrackInputs), (*names(ModelInputs),
 
 
 class Quantities(SimpleNamespace, GearInputs, TrackInputs, ModelInputs):
-    """Argument `q` of `LateralLaw.torque`: scalar CasADi symbols (SI). Each state and each gain of the law is a further
-    attribute."""
+    """Argument `q` of `LateralLaw.torque`: scalar CasADi symbols (SI) of the running gear, the track and set point at
+    its position, and the nominal vehicle. Each state and each gain of the law is a further attribute."""
 
     tau_max: Annotated[Scalar, "N m", "torque limit of a motor at this speed; the base torque yields to du"]
 
@@ -110,12 +111,10 @@ class SlowController(Protocol):
     """Sampling time (s), a multiple of 1 ms, the same for both gears."""
 
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
-        """Differential torque (N m) to hold until the next sample. Not needed if `compiled` returns addresses.
-
-        `x_hat`, shape (6,), is the measured or estimated state of the gear: track coordinate (m), heading (rad), speed
-        (m/s), yaw rate (rad/s), lateral displacement (m), yaw angle against the track (rad). `u_d` is the base torque
-        per wheel (N m).
-        """
+        """Differential torque (N m) to hold until the next sample. Not needed if `compiled` returns addresses. `x_hat`,
+        shape (6,), is the measured or estimated state of the gear: track coordinate (m), heading (rad), speed (m/s),
+        yaw rate (rad/s), lateral displacement (m), yaw angle against the track (rad). `u_d` is the base torque per
+        wheel (N m)."""
 
 
 Factory = Callable[[Vehicle, Route, int], Any]
@@ -130,16 +129,14 @@ class ZeroOrderHold:
     alike = True
 
     def torque(self, q: Quantities) -> ca.SX:
-        """Differential torque (N m), see `LateralLaw`."""
+        """Differential torque (N m): `q.held`, the last one of the slower controller."""
         return q.held
 
 
 def split(guidance) -> tuple[LateralLaw, Factory | None]:
-    """Split a guidance into its 1 kHz law and the factory of its slower controllers, None if it has none.
-
-    An object with a method `torque` is the law, and if it is callable, it is the factory, too. Any other callable is a
-    `Factory`, and the law is `ZeroOrderHold`. InputError for anything else, such as a class in place of its object.
-    """
+    """Split a guidance into its 1 kHz law and the factory of its slower controllers, None if it has none. An object
+    with a method `torque` is the law, and if it is callable, it is the factory, too. Any other callable is a `Factory`,
+    and the law is `ZeroOrderHold`. InputError for anything else, such as a class in place of its object."""
     if isinstance(guidance, type) and hasattr(guidance, "torque"):
         name = guidance.__name__
         raise InputError(f"guidance {name} is a class, an object of it is needed: {name}(), with its arguments if any")
@@ -170,7 +167,7 @@ def controllers(factory: Factory, vehicle: Vehicle, route: Route) -> tuple:
 
 
 def check_arguments(controller: str, vehicle: Vehicle, route: Route, gear: int) -> None:
-    """Raise InputError with the name of a controller if an argument of its `Factory` is invalid."""
+    """InputError, with the name `controller`, unless vehicle, route and gear (0 or 1) are valid for a `Factory`."""
     require(f"{controller}: vehicle", vehicle, Vehicle)
     require(f"{controller}: route", route, Route)
     require(f"{controller}: gear", gear, between(0, len(GEARS) - 1), whole=True)
@@ -178,8 +175,8 @@ def check_arguments(controller: str, vehicle: Vehicle, route: Route, gear: int) 
 
 @dataclass(frozen=True)
 class Signature:
-    """Equations of a 1 kHz law with the names, not the values, of its `gains`, and of the states in its `memory`. Laws
-    with equal signatures share compiled code."""
+    """Equations of a 1 kHz law without the values of its gains: `gains` and `memory` have the names of gains and
+    states. Laws with equal signatures share compiled code."""
 
     text: str
     """Serialised CasADi function of vectors (SI): (gear, track, memory, gains, model) -> (du, next memory). They have

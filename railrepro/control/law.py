@@ -33,7 +33,8 @@ _SHARE = between(0.0, 1.0, "-")
 
 @dataclass(frozen=True)
 class LawGains:
-    """Run-time numbers of the law (SI). In `LawSignature.Gains` the entries of `lateral` have names."""
+    """Numbers of the 1 kHz law that may change without compiling again (SI): gains `lateral` of the lateral law, which
+    `LawSignature.Gains` names, settings of the adhesion law, nominal vehicle, motor, and the limits that end a run."""
 
     lateral: Annotated[list[Scalar], ()]
     adhesion: AdhesionSettings
@@ -46,7 +47,7 @@ class LawGains:
 
 @dataclass(frozen=True)
 class SensedGains(LawGains):
-    """`LawGains` with sensors."""
+    """`LawGains` of a run with sensors: also delay and errors of the sensors per gear, and the gains of the filter."""
 
     front: SensorGains
     rear: SensorGains
@@ -55,7 +56,8 @@ class SensedGains(LawGains):
 
 @dataclass(frozen=True)
 class GearMemory:
-    """States of the law of one running gear. In `LawSignature.Memory` the entries of `lateral` have names."""
+    """What the 1 kHz law of one running gear keeps from cycle to cycle: base torque, filters of the adhesion law,
+    states `lateral` of the lateral law, which `LawSignature.Memory` names."""
 
     u: Annotated[Scalar, "N m", "base torque"]
     adhesion: AdhesionMemory
@@ -64,7 +66,7 @@ class GearMemory:
 
 @dataclass(frozen=True)
 class SensedGearMemory(GearMemory):
-    """`GearMemory` with sensors: delay lines and filter are added, with the last estimates and the last readings."""
+    """`GearMemory` with sensors: also delayed readings and commands, filter, last estimates and last readings."""
 
     sensor: SensorMemory
     filter: observers.FilterState
@@ -74,7 +76,7 @@ class SensedGearMemory(GearMemory):
 
 @dataclass(frozen=True)
 class LawMemory:
-    """States of the law."""
+    """What the 1 kHz law keeps from cycle to cycle: number of cycles since the start, states of both gears."""
 
     ticks: Annotated[Scalar, "ms", "control cycles since the start"]
     front: GearMemory
@@ -83,7 +85,8 @@ class LawMemory:
 
 @dataclass(frozen=True)
 class LawSignature:
-    """Structure of the 1 kHz law of both gears, without values of gains. Equal signatures share compiled code."""
+    """What determines the compiled code of the 1 kHz law: equations of its lateral law, with or without sensors, but no
+    values of gains. Laws with equal signatures share compiled code."""
 
     lateral: lateral.Signature
     sensed: bool = False
@@ -91,13 +94,13 @@ class LawSignature:
 
     @cached_property
     def Gains(self) -> type[LawGains]:
-        """`LawGains`, or `SensedGains` with sensors, with the names of the gains of the lateral law."""
+        """Dataclass of the gains: `LawGains` or, with sensors, `SensedGains`, with names for the lateral gains."""
         gains = SensedGains if self.sensed else LawGains
         return reannotated(gains, lateral=Annotated[list[Scalar], self.lateral.gains])
 
     @cached_property
     def Memory(self) -> type[LawMemory]:
-        """`LawMemory` of gears, with sensors `SensedGearMemory`, with the names of the states of the lateral law."""
+        """Dataclass of the states: `LawMemory`, with sensors of `SensedGearMemory`, with names for lateral states."""
         memory = SensedGearMemory if self.sensed else GearMemory
         gear = reannotated(memory, lateral=Annotated[list[Scalar], self.lateral.memory])
         return reannotated(LawMemory, front=gear, rear=gear)
@@ -109,7 +112,7 @@ class LawSignature:
 
     @property
     def record(self) -> tuple[str, ...]:
-        """Names of the logged columns such as "front.du", with sensors also such as "front.estimated.y_TrAx"."""
+        """Names of the quantities that a run logs, such as "front.du", with sensors also "front.estimated.y_TrAx"."""
         groups = {"": interface.RECORD} | ({"estimated.": interface.ESTIMATED} if self.sensed else {})
         return tuple(f"{gear}.{group}{name}" for group, of in groups.items() for gear in GEARS for name in of)
 
@@ -120,7 +123,7 @@ _shared = lru_cache(LawSignature)
 
 @dataclass(frozen=True)
 class ControlLaw:
-    """The 1 kHz law of both gears with its numbers."""
+    """The 1 kHz law of both gears: its equations (`signature`) with the values of its gains."""
 
     signature: LawSignature
     gains: np.ndarray
@@ -140,10 +143,10 @@ def control_law(
 ) -> ControlLaw:
     """Make the 1 kHz law of both gears. InputError if an argument has a wrong type or value, see `lateral.signature`.
 
-    `vehicle` has the parameters that the controllers assume. The default `guidance` is `ZeroOrderHold`, that of
-    `adhesion` is `AdhesionSettings()` with the values of `sensors.loop.adhesion`. `fixed_share` is as in `allocate`. A
-    run ends when |lateral displacement| of a gear exceeds `lateral_limit` (m), or the front gear reaches `track_end`
-    (m) or is as slow as `stop_speed` (m/s).
+    `vehicle` has the parameters that the controllers assume. `guidance` is the lateral law; by default it applies the
+    torque of a slower controller (`ZeroOrderHold`). The default of `adhesion` is `AdhesionSettings()` with the values
+    of `sensors.loop.adhesion`. `fixed_share` is as in `allocate`. A run ends when |lateral displacement| of a gear
+    exceeds `lateral_limit` (m), or the front gear reaches `track_end` (m) or is as slow as `stop_speed` (m/s).
     """
     require("fixed_share", fixed_share, _SHARE)
     if sensors is not None:

@@ -69,14 +69,16 @@ class PredictiveController:
         return self.c.fallbacks
 
     def problem(self, x_hat: np.ndarray, u_d: float) -> Problem:
-        """The `Problem` of a sample at a measured state (6,) (SI) and a base torque (N m), without offset observer."""
+        """The optimal control `Problem` at a measured state (6,) (SI) and a base torque per wheel (N m), to inspect or
+        compare solvers, without offset observer."""
         x_hat, u_d = self._checked(x_hat, u_d if self.settings.informed else 0.0)
         limit = self.vehicle.drive.limit(x_hat[XDOT] / self.vehicle.wheel.radius)
         return Problem(self.settings, x_hat, u_d, self.horizon.forecast(x_hat, u_d), self.parameters, limit)
 
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
-        """Solve one sample and return the differential torque (N m), see `lateral.SlowController.plan`. InputError
-        unless `x_hat` and `u_d` are finite numbers."""
+        """Solve one sample and return the differential torque (N m) to hold until the next. `x_hat` (6,) is the
+        measured state (SI) in the order of `control_model.STATES`, `u_d` the base torque per wheel (N m). InputError
+        unless they are finite."""
         begin = time.thread_time()
         self._measured[:], u_d = self._checked(x_hat, u_d)
         torque = self._torque(ctypes.c_void_p(self._measured.ctypes.data), ctypes.c_double(u_d))
@@ -101,11 +103,9 @@ class PredictiveController:
 
 @dataclass
 class NMPC(PredictiveController):
-    """Nonlinear MPC of one running gear, see `PredictiveController`. All solvers minimise the same cost.
-
-    `solver` is "gauss_newton" (default), Newton iterations until convergence; "rti", real-time iteration: one Newton
-    iteration per sample, prepared before the state is measured; or "ipopt", the slow reference.
-    """
+    """Nonlinear MPC of one running gear, see `PredictiveController`. All solvers minimise the same cost. `solver` is
+    "gauss_newton" (default), Newton iterations until convergence; "rti", real-time iteration: one Newton iteration per
+    sample, prepared before the state is measured; or "ipopt", the slow reference."""
 
     solver: str = "gauss_newton"
 
@@ -126,11 +126,9 @@ class NMPC(PredictiveController):
 
 @dataclass
 class LTVMPC(PredictiveController):
-    """Linear time-variant MPC of one running gear: one QP per sample, with the model linearised along the forecast.
-
-    By default the linearisation is about centred riding along the track and keeps its affine term. With `printed` it is
-    about a yaw angle of zero and drops the affine term, as in the paper (erratum D6).
-    """
+    """Linear time-variant MPC of one running gear: one QP per sample, with the model linearised along the forecast. By
+    default the linearisation is about centred riding along the track and keeps its affine term. With `printed` it is
+    about a yaw angle of zero and drops the affine term, as in the paper (erratum D6)."""
 
     printed: bool = False
     mode = LINEAR

@@ -45,20 +45,22 @@ class NDI:
 
     @staticmethod
     def ranges() -> dict[str, Quantity]:
-        """Range of each gain, see `lateral.LateralLaw`. It follows from the ranges of the fields."""
+        """Permitted range of each gain by name, for an exported controller. It follows from the ranges of the
+        fields."""
         most = NDI(1e4, 1e4, 1e4, 1e4, rates=True).gains()
         return {name: (between if name in ("ki", "ff") else above)(0.0, most[name], "") for name in most}
 
     def torque(self, q: lateral.Quantities) -> tuple[ca.SX, dict[str, ca.SX]]:
-        """Differential torque before its limit (N m), and next memory, see `lateral.LateralLaw.torque`. The integral
-        stays constant while the torque is beyond the limit `q.tau_max`."""
+        """Differential torque before its limit (N m), and the next integral of the error as a dict, from the symbols
+        `q` of gear, track and vehicle. The integral stays constant while the torque is beyond the limit `q.tau_max`."""
         du = inverse(wanted_jerk(q), q)
         free = ca.fabs(du) < q.tau_max
         return du, {"integral": q.integral + ca.if_else(free, CONTROL_PERIOD * (q.y_ref - q.y), 0)}
 
 
 def wanted_jerk(q: lateral.Quantities) -> ca.SX:
-    """Third time derivative of y (m/s^3) that the gains of `NDI` demand. `q` is as in `lateral.LateralLaw.torque`."""
+    """Third time derivative of the lateral displacement y (m/s^3) that the gains of `NDI` demand, as an expression of
+    the symbols `q` of gear, track, vehicle and gains."""
     psidot_r = q.yaw_rate - q.v * q.dpsi_dp
     ydot = q.v * q.psi
     yddot = q.v * psidot_r + q.xddot * q.psi
@@ -75,12 +77,10 @@ def wanted_jerk(q: lateral.Quantities) -> ca.SX:
 
 
 def inverse(jerk: ca.SX, q: lateral.Quantities) -> ca.SX:
-    """Differential torque (N m) at which y has the third time derivative `jerk` (m/s^3).
-
-    `q` is as in `lateral.LateralLaw.torque`. The yaw equation is the corrected one of `railrepro.model.derivation` to
+    """Differential torque (N m) at which y has the third time derivative `jerk` (m/s^3). `q` are symbols of gear, track
+    and vehicle, see `lateral.Quantities`. The yaw equation is the corrected one of `railrepro.model.derivation` to
     first order. It neglects the yaw stiffness by gravity, 1 % of that by springs, and the yaw moment of the base torque
-    on unequal rolling radii or a rolled axle.
-    """
+    on unequal rolling radii or a rolled axle."""
     ydot, psidot_r = q.v * q.psi, q.yaw_rate - q.v * q.dpsi_dp
     psiddot_r = (jerk - 2 * q.xddot * psidot_r) / ca.fmax(q.v, 1.0)
     psiddot = psiddot_r + q.ddpsi_dp * q.v**2 + q.dpsi_dp * q.xddot

@@ -32,8 +32,8 @@ TUNING = (*WEIGHTS, "r", "q_terminal", "period", "lateral_bound", "bound_weight"
 
 
 class Tuning(NamedTuple):
-    """Weights and bounds of the optimal control problem, as numbers or CasADi expressions. `q` (6,) is
-    `MPCSettings.q_diag`; the other fields have the same names there."""
+    """Weights and bounds of the optimal control problem, as numbers or CasADi expressions: fields of `MPCSettings` of
+    the same names; `q` (6,) is `q_diag` there."""
 
     q: Any
     r: Any
@@ -44,7 +44,7 @@ class Tuning(NamedTuple):
 
     @classmethod
     def of(cls, vector) -> Self:
-        """`Tuning` from a vector in the order of `TUNING`."""
+        """Make a `Tuning` from a vector of numbers or symbols, such as from `MPCSettings.tuning`."""
         return cls(vector[: len(STATES)], *(vector[i] for i in range(len(STATES), len(TUNING))))
 
 
@@ -55,7 +55,8 @@ def stage_cost(x, x_d, slack, t: Tuning):
 
 
 def terminal_cost(x, x_d, slack, t: Tuning):
-    """Cost (s) of the last state, with arguments as in `stage_cost`. Only y and psi_TrAx count. Source: eq. (32)."""
+    """Cost (s) of the last state x (6,) with desired state x_d (6,) and excess `slack` (m) over the lateral bound. Only
+    y and psi_TrAx count. Source: eq. (32)."""
     weighted = [t.q[i] * t.period * t.q_terminal * (x[i] - x_d[i]) ** 2 for i in (Y, PSI_TRAX)]
     return sum(weighted) + slack_cost(slack, t)
 
@@ -103,7 +104,8 @@ def dynamics(variant: str, discretisation: str) -> ca.Function:
 
 @stored
 def torque_limit() -> ca.Function:
-    """Make a CasADi function (speed (m/s), par as `PARAMETERS`, fields of `Drive`) -> torque limit of a motor (N m)."""
+    """Make a CasADi function for the torque limit of a motor (N m). Its inputs are the speed (m/s), the parameters of
+    the control model (`PARAMETERS`) and the fields of the motor's data (`Drive`)."""
     speed, par = ca.SX.sym("speed"), ca.SX.sym("par", len(PARAMETERS))
     numbers, drive = symbols(Drive, "drive")
     limit = drive.limit(speed / par[PARAMETERS.index("r_0")])
@@ -150,7 +152,7 @@ class MPCSettings:
             require(f"q_diag, {name}", weight, allowed)
 
     def tuning(self) -> np.ndarray:
-        """The tuning vector: weights and bounds in the order of `TUNING`, in the units of the fields."""
+        """Weights and bounds as a vector for compiled solvers: the fields of `Tuning` in their order and units."""
         rest = (getattr(self, name) for name in TUNING[len(STATES) :])
         return np.array([*self.q_diag, *rest], dtype=float)
 
@@ -169,5 +171,6 @@ class Problem:
 
     @property
     def bound(self) -> float:
-        """Largest |du| (N m): `tau_max`, or without `yielding` max(tau_max - |u_d|, 0). Source: eq. (31)."""
+        """Largest |du| (N m): the motor's limit, or without `yielding` what the base torque leaves. Source: eq.
+        (31)."""
         return self.tau_max if self.settings.yielding else max(self.tau_max - abs(self.u_d), 0.0)

@@ -25,13 +25,11 @@ PAPER, LOOP = SETTINGS
 
 @dataclass(frozen=True)
 class Controller:
-    """Entry of `CONTROLLERS`: how a lateral controller is made from its tuning parameters.
-
-    `settings` makes settings, such as `MPCSettings` or `NDI`, from a dict of tuning parameters, of which `needed` have
-    no default. `build` makes from settings the guidance for `simulate.run`, a 1 kHz law or a factory. `preview` says
-    whether the controller knows set point and track ahead. `quick` is the argument `options` of `guidance` for studies:
-    a faster solver with nearly the same torques.
-    """
+    """Entry of `CONTROLLERS`: how a lateral controller is made from its tuning parameters. `settings` makes settings,
+    such as `MPCSettings` or `NDI`, from a dict of tuning parameters, of which `needed` have no default. `build` makes
+    from settings the guidance for `simulate.run`, a 1 kHz law or a factory. `preview` says whether the controller knows
+    set point and track ahead. `quick` has the `options` of `guidance` for studies: a faster solver with nearly the same
+    torques."""
 
     build: Callable
     settings: Callable
@@ -60,7 +58,8 @@ def mpc_settings(parameters: dict) -> MPCSettings:
 
 @dataclass(frozen=True)
 class Predictive:
-    """Factory (vehicle, route, gear) of predictive controllers of one class with the same settings for both gears."""
+    """Factory of predictive controllers: called with vehicle, route and gear (0 front, 1 rear), it makes one of the
+    given class. Both gears have the same settings."""
 
     controller: type
     settings: MPCSettings
@@ -117,16 +116,16 @@ EMPHASIS = 10.0
 
 
 def with_r_times(parameters: dict, factor: float) -> dict:
-    """Copy of a dict of tuning parameters with the weight "r" of the torque multiplied by `factor`."""
+    """Copy of tuning parameters of a predictive controller, its weight "r" of the torque multiplied by `factor`."""
     return parameters | {"r": factor * parameters["r"]}
 
 
 def guidance(name: str, parameters: dict, options: dict | None = None, **changes):
     """Make a lateral controller for `simulate.run`. InputError for an unknown name or argument.
 
-    `name` is a key of `CONTROLLERS`, `parameters` are tuning parameters, see data/tuning.toml. `options` are further
-    arguments of a predictive controller, such as {"solver": "rti"}; `changes` are fields of `MPCSettings` or `NDI` that
-    replace those from `parameters`.
+    `name` is a key of `CONTROLLERS`, such as "nmpc", `parameters` a dict of its tuning parameters, as from
+    `registry.parameters`. `options` are further arguments of a predictive controller, such as {"solver": "rti"};
+    `changes` are fields of `MPCSettings` or `NDI` that replace those from `parameters`.
     """
     require("controller", name, str)
     if name not in CONTROLLERS:
@@ -163,8 +162,9 @@ def read(controller: str, setting: str = PAPER, folder: Path | None = None) -> d
 
 
 def tuned_set(controller: str, setting: str = PAPER) -> dict:
-    """Tuned parameters of a controller: a dict as from `read`. The table "designed" of the setting in data/tuning.toml
-    takes precedence over the file. InputError for an unknown setting, or if there are no parameters."""
+    """Tuned parameters of a controller with their origin, a dict as from `read`. What data/tuning.toml gives in the
+    table "designed" of the setting takes precedence over the file. InputError for an unknown setting, or without
+    parameters."""
     require("controller", controller, str)
     require("setting", setting, str)
     if setting not in SETTINGS:
@@ -177,11 +177,12 @@ def tuned_set(controller: str, setting: str = PAPER) -> dict:
 
 
 def parameters(controller: str, setting: str = PAPER) -> dict:
-    """Tuned parameters of a controller: a dict from name to value for `guidance`. InputError as in `tuned_set`."""
+    """Tuned parameters of a controller in a setting, "paper" or "loop": a dict from name to value for `guidance`.
+    InputError if there are none."""
     return tuned_set(controller, setting)["parameters"]
 
 
 def tuned(controller: str, options: dict | None = None, setting: str = PAPER, **changes):
-    """Make a lateral controller, a key of `CONTROLLERS`, with its tuned parameters for `simulate.run`. `setting` is
-    "paper" or "loop", see `SETTINGS`; `options` and `changes` are as in `guidance`."""
+    """Make a lateral controller, a key of `CONTROLLERS`, with its tuned parameters for `simulate.run`. It was tuned in
+    the `setting` "paper" (true states) or "loop" (sensors, delays). `options` and `changes` are as in `guidance`."""
     return guidance(controller, parameters(controller, setting), options, **changes)

@@ -15,7 +15,8 @@ from railrepro.vehicle.parameters import Vehicle
 
 @dataclass(frozen=True)
 class States:
-    """States of the control model of one running gear. Source: eq. (18) of the paper."""
+    """States of a running gear in the control model: track coordinate x, heading psi_Ax, speed xdot, yaw rate
+    psidot_Ax, lateral displacement y_TrAx and yaw angle psi_TrAx against the track. Source: eq. (18) of the paper."""
 
     x: Annotated[Scalar, "m", "track coordinate"]
     psi_Ax: Annotated[Scalar, "rad", "heading"]
@@ -44,17 +45,15 @@ METHODS = tuple(_TABLEAU)
 
 
 def control_model(variant: str = "corrected") -> ca.Function:
-    """Make the model of one running gear: a CasADi function (x[6], u[2], theta[9], par[14]) -> dx/dt[6], in SI units.
-
-    The entries of the arguments are `STATES`, `INPUTS`, `THETA` and `model.parameters.PARAMETERS`, in that order.
-    `variant` is "corrected", "printed" (all errata of the paper) or a list of the errata to keep, such as "D1" or
-    "D1,D3", from `parameters.DISCREPANCIES`. InputError for any other name.
-    """
+    """Make the model of one running gear: a CasADi function (x[6], u[2], theta[9], par[14]) -> dx/dt[6], in SI units. x
+    are its `STATES`, u the motor torques of the right and the left wheel, theta the track at the gear (`THETA`), and
+    par the numbers `model.parameters.PARAMETERS`. `variant` is "corrected", "printed" (all errata of the paper) or a
+    list of the errata to keep, such as "D1" or "D1,D3", from `parameters.DISCREPANCIES`. InputError for another."""
     return _rhs(tuple(sorted(kept_as_printed(variant) - {"D4"})))
 
 
 def kept_as_printed(variant: str) -> frozenset[str]:
-    """Names of the errata that a `variant` of the model keeps as printed; argument and errors as in `control_model`."""
+    """Errata of the paper, such as "D1", that a model `variant` keeps, see `control_model`; InputError if unknown."""
     if variant in ("corrected", "printed"):
         return frozenset(DISCREPANCIES if variant == "printed" else ())
     kept = frozenset(name.strip() for name in variant.split(","))

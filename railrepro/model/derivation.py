@@ -113,7 +113,7 @@ def derivatives_first(energies: tuple, dependent: dict) -> sp.Matrix:
 
 def constraints_first(energies: tuple, dependent: dict) -> sp.Matrix:
     """Printed order of steps (D1): constraints inserted into the energies, then Lagrange's equations of path and yaw
-    angle, shape (2, 1). `dependent` is as in `derivatives_first`."""
+    angle, shape (2, 1). `dependent` maps each dependent rate to its expression, see `constraints`."""
     t, v, d = energies
     reduced, free = (t.subs(dependent), v, d.subs(dependent)), {xd: xdd, psid: psidd}
     return sp.Matrix([lagrange(q, rate, reduced, free) for q, rate in ((x, xd), (psi, psid))]).subs(dependent)

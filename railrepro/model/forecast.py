@@ -18,15 +18,16 @@ the car body (kg)."""
 
 @dataclass(frozen=True)
 class Forecast:
-    """Desired states x_d, shape (L + 1, 6), as `control_model.STATES`, and track parameters theta, shape (L + 1, 9), as
-    `control_model.THETA`, of one running gear over a horizon of L time steps (SI)."""
+    """What a predictive controller of one running gear expects at L time steps ahead (SI): desired states x_d, shape (L
+    + 1, 6), as `control_model.STATES`, and track parameters theta, shape (L + 1, 9), as `control_model.THETA`."""
 
     x_d: np.ndarray
     theta: np.ndarray
 
 
 def nominal_values(vehicle: Vehicle, gear: int, printed: bool = False) -> np.ndarray:
-    """Vehicle data of the forecast of a gear (0 front, 1 rear), shape (3,), in the order and units of `NOMINAL`.
+    """Vehicle data for the forecast of a gear (0 front, 1 rear), shape (3,): acceleration per base torque (1/(kg m)),
+    signed distance to the other gear (m), mass of the car body (kg).
 
     By default both wheels accelerate the vehicle mass and their own spin inertia. With `printed` one wheel accelerates
     the mass alone, in the opposite direction (erratum D4).

@@ -17,8 +17,8 @@ from railrepro import data, paths
 
 @data.table
 class Entry:
-    """Entry of one parameter in a file such as data/vehicle.toml; `symbol` is its name in formulas. `confidence` is VV
-    read in the source and reproduced, V read there, D derived, R recalled from the literature, A assumed. `range` is
+    """One parameter in a file such as data/vehicle.toml; `symbol` is its name in formulas. `confidence` in its `source`
+    is VV read there and reproduced, V read there, D derived, R recalled from the literature, A assumed. `range` is
     "fixed", or [low, high] in the unit of the value, from which robustness studies sample."""
 
     symbol: str
@@ -31,8 +31,8 @@ class Entry:
 
 @dataclass(frozen=True)
 class Parameter(data.Quantity):
-    """Annotation of a field with its unit and permitted range. A file gives the field as an `Entry` with this unit, a
-    constructor as a value."""
+    """Unit and permitted range of a number with a source, the annotation of a field. In a file the number is an `Entry`
+    with this unit; a constructor takes the value alone."""
 
     def __get_pydantic_core_schema__(self, source, handler):
         value = super().__get_pydantic_core_schema__(source, handler) if source is float else handler(source)
@@ -168,7 +168,7 @@ class Drive:
     lag: Annotated[float, Parameter(0.0, 1.0, "s")]
 
     def limit(self, wheel_speed):
-        """Torque limit for both signs (N m) at a wheel speed (rad/s; number, array or SX): `torque_limit` at any speed.
+        """Torque limit for both signs (N m) at a wheel speed (rad/s; number, array or SX), here the same at all speeds.
         Car and controllers call this method, so a limit that depends on speed needs a change only here."""
         return self.torque_limit
 
@@ -206,15 +206,16 @@ class AdhesionSet:
 
 @data.table
 class Environment:
-    """Surroundings: gravitational acceleration (m/s2)."""
+    """Surroundings of the car: gravitational acceleration (m/s2)."""
 
     gravity: Annotated[float, Parameter(0.0, 20.0, "m/s2")]
 
 
 @data.table
 class Vehicle:
-    """All parameters of the car. The running gears are identical, and so are the wheels and the motors. `adhesion` maps
-    names to adhesion sets; data/vehicle.toml has "dry", "poor", "very_poor" and "wet"."""
+    """All parameters of the car: car body, running gear, wheel, suspension, motor, contact, adhesion, environment. All
+    running gears, wheels and motors are alike. `adhesion` maps names to parameters of the creep law for a state of the
+    rail; data/vehicle.toml has "dry", "poor", "very_poor" and "wet"."""
 
     body: CarBody
     gear: Gear
@@ -281,9 +282,9 @@ def load_vehicle(path: Path | str | None = None, **overrides) -> Vehicle:
 
 
 def loaded(kind: type, file: Path, overrides: dict) -> tuple[Any, dict[str, dict]]:
-    """Read a file of entries. Returns an instance of the `data.table` class `kind`, and a dict from dotted keys such as
-    "wheel.radius" to entries as dicts. `overrides` replace values of the file (SI) by dotted key; the range of such a
-    parameter becomes "fixed". InputError for a wrong file, key or value."""
+    """Read a file of parameters with unit and source (`Entry`). Returns the values as an instance of the `data.table`
+    class `kind`, and a dict: dotted key such as "wheel.radius" -> its entry as a dict. `overrides`, dotted key -> value
+    (SI), replace values of the file; their range becomes "fixed". InputError for a wrong file, key or value."""
     content = data.read(file)
     entries = dict(_entries(content))
     for key, value in overrides.items():
@@ -303,6 +304,6 @@ def _entries(table: Any, key: str = "") -> Iterator[tuple[str, dict]]:
 
 
 def sample_ranges() -> dict[str, tuple[float, float]]:
-    """Ranges (low, high) (SI) of the parameters in data/vehicle.toml that are not fixed, by dotted key."""
+    """Ranges for robustness studies in data/vehicle.toml: dotted key -> (low, high) (SI), without fixed parameters."""
     entries = loaded(Vehicle, paths.source("data/vehicle.toml"), {})[1]
     return {key: tuple(entry["range"]) for key, entry in entries.items() if entry["range"] != "fixed"}

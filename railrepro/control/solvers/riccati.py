@@ -29,7 +29,8 @@ _SOURCES = [Path(__file__).with_name(name).read_text(encoding="utf-8") for name 
 
 @lru_cache
 def functions(variant: str, discretisation: str) -> tuple[ca.Function, ...]:
-    """CasADi functions that the C of `c_text` calls. Model variant and discretisation are as in `MPCSettings`."""
+    """CasADi functions of prediction model, forecast and recursion that the C of `c_text` calls. `variant` of the model
+    and `discretisation` are as in `MPCSettings`."""
     return *forecast.functions(), *recursion(variant, discretisation), torque_limit()
 
 
@@ -46,8 +47,8 @@ def _lanes(variant: str, discretisation: str) -> str:
 
 
 def c_text(variant: str, discretisation: str) -> str:
-    """C text of riccati.c, interior.c and planner.c, to be placed after call.h and the C of `functions`, with the same
-    arguments."""
+    """C text of the compiled solver (riccati.c, interior.c, planner.c), to be placed after call.h and the C of
+    `functions`, with the same arguments."""
     extra = lanes_header()
     for prefix, entries in {"STATE": STATES, "TUNING": TUNING, "THETA": THETA}.items():
         extra += codegen.enumeration(f"{prefix}_{name}" for name in entries)
