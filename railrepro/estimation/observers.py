@@ -41,7 +41,7 @@ _GAINS = [f"{state}.{read}.{k}" for state in LATERAL for read in LATERAL[:3] for
 
 @dataclass(frozen=True)
 class WheelState:
-    """States of the filter of a wheel."""
+    """States of the Kalman filter of a wheel, which estimates its creep force from motor torque and measured speed."""
 
     tau: Annotated[Scalar, "N m", "motor torque"]
     w: Annotated[Scalar, "rad/s", "angular speed"]
@@ -50,7 +50,9 @@ class WheelState:
 
 @dataclass(frozen=True)
 class FilterState:
-    """States of the filters of a running gear, `LATERAL` first."""
+    """States of the Kalman filters of a running gear and its left (le) and right (ri) wheel: displacement y, yaw angle
+    psi against the track, yaw rate r, bias of the gyroscope, creep angle beta; and of low-pass filters of speed and
+    creep angle."""
 
     y: Annotated[Scalar, "m"]
     psi: Annotated[Scalar, "rad"]
@@ -65,8 +67,8 @@ class FilterState:
 
 @dataclass(frozen=True)
 class FilterGains:
-    """Run-time numbers of the filters of a running gear. `lateral` has the Kalman gains (SI) of the states `LATERAL` by
-    the readings of y, psi, r at each of `SPEEDS`; the speed is the innermost index."""
+    """Run-time numbers of the filters of a running gear. `lateral` has the Kalman gains (SI) from the readings of y,
+    psi, r to the states y, psi, r, bias, beta (`LATERAL`) at each of `SPEEDS`; the speed is the innermost index."""
 
     lateral: Annotated[list[Scalar], _GAINS]
     wheel_w: Annotated[Scalar, "-", "Kalman gain of the speed of a wheel"]
@@ -91,7 +93,7 @@ class Estimates:
 
 def lateral_matrices(vehicle: Vehicle, speed: float) -> tuple[np.ndarray, np.ndarray]:
     """Build the matrices A (5, 5), C (3, 5) of the lateral filter at a speed (m/s), SI: x' = A x, readings C x. x holds
-    the states `LATERAL`. The readings are y, psi, and r plus the gyro bias."""
+    y, psi, r, gyro bias and creep angle beta; the readings are y, psi, and r plus the gyro bias."""
     k, d, inertia = vehicle.suspension.yaw_stiffness, vehicle.suspension.yaw_damping, vehicle.gear.inertia_z
     gyroscopic = 2 * vehicle.wheel.spin_inertia * speed / vehicle.wheel.radius * vehicle.gamma * speed
     a = [
@@ -118,7 +120,8 @@ def _stationary(a, c, q, r) -> tuple[np.ndarray, np.ndarray]:
 
 def lateral_filter(vehicle: Vehicle, loop: Loop, speed: float) -> tuple[np.ndarray, np.ndarray]:
     """Design the lateral filter at a speed (m/s) for the noise of sensors and process in `loop`, SI. Returns the
-    stationary Kalman gain (5, 3), and the covariance (5, 5) of the states `LATERAL` after a reading."""
+    stationary Kalman gain (5, 3) from readings of y, psi, r to the states y, psi, r, gyro bias, creep angle, and the
+    covariance (5, 5) of these states after a reading."""
     rates = loop.filter
     y = max(loop.lateral.noise / np.sqrt(2), _LEAST_NOISE)
     readings = np.diag([y**2, (2 * y / loop.lateral.base) ** 2, max(loop.gyro.noise, _LEAST_NOISE) ** 2])
@@ -128,7 +131,8 @@ def lateral_filter(vehicle: Vehicle, loop: Loop, speed: float) -> tuple[np.ndarr
 
 @lru_cache(maxsize=16)
 def stationary_gains(vehicle: Vehicle, loop: Loop) -> FilterGains:
-    """Design the filters of a gear for the sensors in `loop`, with the parameters of `vehicle` in their models."""
+    """Design the Kalman filters of a running gear and its wheels for the noise and delays of the sensors in `loop`;
+    their models have the parameters of `vehicle`. Returns the gains, for the yaw filter over the speed."""
     rates = loop.filter
     inertia, radius = vehicle.wheel.spin_inertia, vehicle.wheel.radius
     at_speeds = np.array([lateral_filter(vehicle, loop, speed)[0] for speed in SPEEDS])
@@ -152,10 +156,10 @@ def observe(
     """Correct the filters of a gear by the readings of this cycle, and predict to the time when a torque acts.
 
     Returns the `Estimates` at that time, and the corrected `FilterState` at the time of the readings. Numbers are SX.
-
     `commands` has two lists, torques sent to the left and the right wheel before this cycle (N m), newest first.
-    `track` is a `lateral.TrackInputs` at the gear, `gain` a `law.SensedGains`. `ticks` counts the control cycles since
-    the start; at 0 the states are set from the readings. `memory` are the states at the time of the readings.
+    `track` has curvature and angles of the track at the gear (`lateral.TrackInputs`), `gain` the gains of law and
+    filters, `sensor` the delays. `ticks` counts control cycles from the start; at 0 the readings set the states.
+    `memory` are states as of the readings.
     """
     planes = readings.y_ahead, readings.y_behind
     read = sum(planes) / 2, (planes[0] - planes[1]) / sensor.base, readings.psidot_Ax

@@ -24,7 +24,7 @@ _Line = Annotated[list[Scalar], range(LONGEST + 1)]
 
 @dataclass(frozen=True)
 class Signals:
-    """Readings of a running gear."""
+    """Readings of the sensors of a running gear in one control cycle, or the exact values of the same quantities."""
 
     y_ahead: Annotated[Scalar, "m", "displacement against the rails in a plane ahead of the axle"]
     y_behind: Annotated[Scalar, "m", "displacement against the rails in a plane behind the axle"]
@@ -43,7 +43,9 @@ _SEEDS = 1_000_003
 
 @dataclass(frozen=True)
 class SensorMemory:
-    """Delay lines of readings and torque commands (N m), newest first. The position p is read without delay."""
+    """Last 21 values of each delayed signal of a running gear, one per ms, newest first, from which delays of 0 to 20
+    ms are read: displacement ahead of and behind the axle (m), yaw rate and wheel speeds w (rad/s), speed v (m/s), and
+    torque commands tau (N m) to the left (le) and right (ri) motor. The position has no delay, and so no entry."""
 
     y_ahead: _Line
     y_behind: _Line
@@ -73,8 +75,9 @@ class Lateral:
 
 @data.table
 class Rate:
-    """Sensor of an angular velocity: gyroscope of a running gear or speed sensor of a wheel. Fields as in `Lateral`
-    (rad/s): `noise` is a standard deviation per reading, no spectral density."""
+    """Sensor of an angular velocity: gyroscope of a running gear or speed sensor of a wheel. `noise`: standard
+    deviation of a reading; `bias`: a run draws its constant offset from [-bias, bias]; `resolution`: step of rounding
+    (all rad/s)."""
 
     noise: Annotated[float, _upto(0.1, "rad/s")]
     bias: Annotated[float, _upto(0.1, "rad/s")]
@@ -83,7 +86,8 @@ class Rate:
 
 @data.table
 class Speed:
-    """Sensor of the speed along the track. Fields as in `Lateral` (m/s)."""
+    """Sensor of the speed along the track. `noise`: standard deviation of a reading; `bias`: largest constant offset,
+    drawn for a run; `resolution`: step of rounding (all m/s)."""
 
     noise: Annotated[float, _upto(1.0, "m/s")]
     bias: Annotated[float, _upto(1.0, "m/s")]
@@ -92,7 +96,8 @@ class Speed:
 
 @data.table
 class Position:
-    """Sensor of the track coordinate, without delay. Fields as in `Lateral` (m)."""
+    """Sensor of the track coordinate, without delay. `noise`: standard deviation of a reading; `bias`: largest constant
+    offset, drawn for a run; `resolution`: step of rounding (all m)."""
 
     noise: Annotated[float, _upto(1.0, "m")]
     bias: Annotated[float, _upto(20.0, "m")]
@@ -133,7 +138,7 @@ class Filter:
 
 @data.table
 class Adhesion:
-    """Settings of the adhesion law with sensors, in place of the defaults of `control.adhesion.AdhesionSettings`."""
+    """Settings of the adhesion law (slip control) that suit noisy readings, in place of its defaults for exact ones."""
 
     filter_time: Annotated[float, _upto(1.0, "s")]
     dead_zone: Annotated[float, _upto(10.0, "1/s")]
@@ -142,7 +147,8 @@ class Adhesion:
 
 @data.table
 class Loop:
-    """All between car and controllers: sensors, latencies, errors of the inverters, filter; made by `load_loop`."""
+    """All between car and controllers: errors of the sensors, latencies, errors of the inverters, settings of the
+    filter that estimates states; `load_loop` reads it from data/sensors.toml."""
 
     lateral: Lateral
     gyro: Rate
@@ -179,7 +185,8 @@ _RANGES = dict(notes(Loop))
 
 @dataclass(frozen=True)
 class Quality:
-    """Errors of the sensor of one signal in one run: standard deviation, constant offset and step, in its unit."""
+    """Errors of the sensor of one signal in one run, in its unit: standard deviation of the noise, constant offset,
+    step of rounding (0: none)."""
 
     noise: Scalar
     bias: Scalar
@@ -188,7 +195,7 @@ class Quality:
 
 @dataclass(frozen=True)
 class SensorGains:
-    """Run-time numbers of the sensors of a running gear."""
+    """Errors and delays of the sensors of a running gear in one run, as numbers that the compiled loop reads."""
 
     y_ahead: Quality
     y_behind: Quality
@@ -206,7 +213,8 @@ class SensorGains:
 
 
 def quality_ranges() -> dict[str, data.Quantity]:
-    """Return the range of each sensor error in `SensorGains` as a dict by its name, such as "y_ahead.noise"."""
+    """Return the permitted range of each sensor error as a dict by its name, such as "y_ahead.noise" (for exported
+    controllers)."""
     return {
         f"{signal}.{error}": replace(_RANGES[f"{sensor}.{error}"], signed=error == "bias")
         for signal, sensor in zip(SIGNALS, _SENSORS, strict=True)
@@ -221,8 +229,8 @@ def load_loop(path: Path | str | None = None, **overrides) -> Loop:
 
 
 def readings(perfect: bool = False, seed: int = 0, **overrides) -> "Readings":
-    """Make `Readings` with the data of data/sensors.toml, changed by `overrides` as in `load_loop`, for one `seed` of
-    noise and biases. With `perfect` the readings are exact, see `Loop.perfect`."""
+    """Make the `Readings` of a run with the data of data/sensors.toml, changed by `overrides` as in `load_loop`, for
+    one `seed` of noise and biases. With `perfect` the readings are exact and without delay."""
     loop = load_loop(**overrides)
     return Readings(loop.perfect() if perfect else loop, seed)
 
@@ -249,12 +257,10 @@ class Readings:
 
 
 def sense(truth: Signals, ticks, gear: int, gain: SensorGains, memory: SensorMemory) -> tuple[Signals, dict[str, list]]:
-    """Read the sensors of a gear (0 front, 1 rear) in this control cycle. All numbers are of type SX.
-
-    `truth` are the exact values, `memory` the delay lines after the previous cycle. `ticks` counts the control cycles
-    since the start; at 0 the delay lines are filled with the first reading. Returns the readings that reach the
-    controller, and a dict of the next delay lines by signal, without "p".
-    """
+    """Read the sensors of a gear (0 front, 1 rear) in this control cycle. All numbers are of type SX. `truth` are the
+    exact values, `memory` the last values of each signal after the previous cycle. `ticks` counts the control cycles
+    from the start; at 0 the first reading fills the memory. Returns the delayed readings that reach the controller, and
+    the next memory as a dict: signal, such as "w_le" -> list of 21 values, newest first."""
     readings, lines = {}, {}
     for i, signal in enumerate(SIGNALS):
         quality = getattr(gain, signal)
@@ -272,12 +278,13 @@ def sense(truth: Signals, ticks, gear: int, gain: SensorGains, memory: SensorMem
 
 
 def delayed(line: list, cycles):
-    """Interpolate a delay line (newest first) to its value `cycles` control cycles ago. Numbers or SX."""
+    """Interpolate a list of values, one per control cycle (ms), newest first, `cycles` control cycles ago. Numbers or
+    SX."""
     return sum(ca.fmax(0, 1 - ca.fabs(cycles - k)) * value for k, value in enumerate(line))
 
 
 def received_torque(line: list, gain: SensorGains):
-    """Compute the torque of a motor in this cycle (N m) from the delay line of its commands (newest first)."""
+    """Compute the torque of a motor in this cycle (N m) from its last commands, one per ms, newest first (N m)."""
     return gain.torque_gain * delayed(line, gain.command + gain.unknown_delay)
 
 

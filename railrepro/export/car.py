@@ -23,17 +23,20 @@ def export_fmu(
 ) -> Path:
     """Write the car on a route as an FMU (FMI 2.0) for co-simulation, and return the path of the file.
 
-    The inputs are the torques `INPUTS`, the outputs those of `railrepro.car.equations.car()`. The parameters are those
-    of `equations.CarParameters`, such as "body.mass", and "speed", the initial speed. Route and contact table are
-    constants. The communication step must be a whole number of ms. The FMU returns the status Error if a torque is NaN
-    or its magnitude above 1e5 N m, and if a state is not finite or reaches 1e7 (SI). Route or name of a track, initial
-    speed (m/s) and vehicle are as in `car.component.SteppedCar`, platforms and errors as in `export.fmu.Fmu.write`.
+    Inputs are the torques of the four motors (N m): tau_front_le, tau_front_ri, tau_rear_le, tau_rear_ri. Outputs are
+    the signals of the car in a run, such as "front.y". The parameters are those of the car, such as "body.mass", and
+    "speed", the initial speed. Route and contact table are constants. The communication step must be a whole number of
+    ms. The FMU returns the status Error if a torque is NaN or its magnitude above 1e5 N m, and if a state is not finite
+    or reaches 1e7 (SI). `route` may be the name of a track; `speed` is the initial one (m/s); `vehicle` is by default
+    data/vehicle.toml. `platforms`, such as ("linux64", "win64"), are by default this one. InputError for a wrong
+    argument, a missing compiler, or a file that cannot be written.
     """
     return car_fmu(component.SteppedCar(route, speed, vehicle), speed).write(path, platforms)
 
 
 def car_fmu(car: component.SteppedCar, speed: float, route_text: Callable = constant) -> Fmu:
-    """Make the `Fmu` of a car with its initial speed (m/s). `route_text` is as in `Export.fmu`."""
+    """Make the `Fmu` of a car with its initial speed (m/s). `route_text` makes the C source that defines the array of
+    cells of the route from its name and values."""
     parameters = variables(equations.CarParameters, car.parameters)
     parameters.append(variable("speed", speed, above(0.0, component.LARGEST_SPEED, "m/s")))
     inputs = [Variable(name, 0.0, "N m", -component.LARGEST_TORQUE, component.LARGEST_TORQUE) for name in INPUTS]

@@ -36,7 +36,9 @@ _FIXED = re.compile(r"limit\.|filter\.|cost\.period$|(front|rear)\.(measurement|
 
 @dataclass(frozen=True)
 class Export:
-    """Controller of both gears on a route, for export as C source or as an FMU. InputError for a wrong type."""
+    """Controller of both gears on a route, for export as C source or as an FMU. `guidance` is as in `simulate.run`,
+    `vehicle` the car that it assumes. With `sensors` the export contains the filter for their noise and delays.
+    InputError for a wrong type."""
 
     guidance: lateral.Guidance
     """A 1 kHz law, or a factory of `NMPC` (not with Ipopt), `LTVMPC` or `LqgPreview`."""
@@ -54,29 +56,24 @@ class Export:
             require("export: sensors", self.sensors, Readings)
 
     def write_source(self, path: Path | str) -> Path:
-        """Write one C source file without dependencies, and return its path.
-
-        Its struct controller_t has the arrays measured, torque and parameters (SI). A comment at the beginning
-        describes the functions and what controller_step, one step of 1 ms, returns.
-        """
+        """Write one C source file without dependencies, and return its path. Its struct controller_t has the arrays
+        measured, torque and parameters (SI). A comment at the beginning describes the functions and what
+        controller_step, one step of 1 ms, returns."""
         file = location(path)
         write(file, _HEADER + self.fmu().text.removesuffix(_AS_FMU))
         return file
 
     def write_fmu(self, path: Path | str, platforms: Sequence[str] | None = None) -> Path:
-        """Write an FMU (FMI 2.0) and return its path. `platforms` is as in `export.fmu.Fmu.write`.
-
-        Inputs are `control.interface.MEASURED`. Outputs are the torques `export.car.INPUTS` and "fallbacks", the number
-        of samples that a predictive controller could not solve. Parameters are the gains of the law, such as
+        """Write an FMU (FMI 2.0) and return its path. Inputs are the measured outputs of the car's FMU, such as
+        "front.p". Outputs are the four motor torques (N m), "tau_front_le" to "tau_rear_ri", and "fallbacks", the
+        number of samples that a predictive controller could not solve. Parameters are the gains of the law, such as
         "lateral.k0", and of a predictive controller its weights ("cost.r") and model parameters ("belief.J_z").
-        """
+        `platforms`, such as ("linux64", "win64"), are by default this one."""
         return self.fmu().write(path, platforms)
 
     def fmu(self, route_text: Callable = constant) -> Fmu:
-        """Make the `Fmu` of the controller. InputError if it has no C source.
-
-        `route_text` is a function (name, array of cells) -> C source that defines the array; default `constant`.
-        """
+        """Make the `Fmu` of the controller. InputError if it has no C source. `route_text` is a function (name, array
+        of cells) -> C source that defines the array; default `constant`."""
         lateral_law, factory = lateral.split(self.guidance)
         ends: dict[str, Any] = {"lateral_limit": DERAILED, "track_end": self.route.length, "stop_speed": -1.0}
         control = law.control_law(self.vehicle, lateral_law, sensors=self.sensors, **ends)

@@ -50,8 +50,8 @@ class Variable:
 
 
 def variable(name: str, value: float, note: Any = None) -> Variable:
-    """Make a `Variable` with the unit and range of `note`, see `quantities.notes`. A range without 0 that permits
-    either sign is reduced to the sign of `value`."""
+    """Make a `Variable` from its name, its value and a `note`: its unit, or a `data.Quantity` with unit and range. A
+    range without 0 that permits either sign is reduced to the sign of `value`."""
     note = between(0.0, 1.0) if note is bool else note
     if not isinstance(note, Quantity):
         return Variable(name, float(value), note if isinstance(note, str) else "")
@@ -71,8 +71,9 @@ def variables(of: type, values: Iterable[float], ranges: Mapping[str, Quantity] 
 
 
 def numbers_text(inputs: Sequence[Variable], parameters: Sequence[Variable]) -> str:
-    """C source of the parameters: an enum of their indices (PARAMETER_BODY_MASS, …), N_PARAMETER, array PARAMETERS; and
-    arrays LOWEST and HIGHEST with the ranges of the inputs, then of the parameters."""
+    """C source of the numbers of an FMU: an enum of the indices of parameters (PARAMETER_BODY_MASS, …), N_PARAMETER,
+    array PARAMETERS with their values; arrays LOWEST and HIGHEST with the ranges of the inputs, then of the
+    parameters."""
     source = index_enum("PARAMETER", [p.name for p in parameters]) + codegen.defines({"N_PARAMETER": len(parameters)})
     source += constant("PARAMETERS", np.array([p.value for p in parameters]))
     lowest, highest = np.transpose([(one.low, one.high) for one in (*inputs, *parameters)])
@@ -106,11 +107,9 @@ class Fmu:
     """Name of the integer output, FMU_COUNT, if there is one."""
 
     def write(self, path: Path | str, platforms: Sequence[str] | None = None) -> Path:
-        """Compile the source, write the .fmu file and return its path.
-
-        `platforms` are keys of `PLATFORMS`, such as ("linux64", "win64"); default this platform, others need the
-        package ziglang. InputError if path or platforms are invalid, a compiler is missing, or writing fails.
-        """
+        """Compile the source, write the .fmu file and return its path. `platforms` are keys of `PLATFORMS`, such as
+        ("linux64", "win64"); default this platform, others need the package ziglang. InputError if path or platforms
+        are invalid, a compiler is missing, or writing fails."""
         file, kinds = location(path), (HERE,) if platforms is None else platforms
         if not isinstance(kinds, tuple | list) or not kinds or any(kind not in tuple(PLATFORMS) for kind in kinds):
             raise InputError(f"platforms is {reprlib.repr(kinds)}, a list of names in {tuple(PLATFORMS)} is needed")
@@ -136,8 +135,8 @@ class Fmu:
         return file
 
     def model_description(self, guid: str) -> str:
-        """Text of modelDescription.xml. Value references count outputs, then inputs, then parameters; the counter, an
-        integer, has the reference 0."""
+        """Text of modelDescription.xml with the identifier `guid`. Value references count outputs, then inputs, then
+        parameters; the counter, an integer output, has the reference 0."""
         reals = [(name, "output", "continuous", "<Real/>") for name in self.outputs]
         reals += [(one.name, "input", "continuous", _real(one)) for one in self.inputs]
         reals += [(one.name, "parameter", "fixed", _real(one)) for one in self.parameters]

@@ -112,10 +112,8 @@ def _experiment(scenario: Scenario) -> dict:
 
 
 def page(embedded: dict) -> str:
-    """HTML text of the live page that contains `embedded`, the dict of `content`.
-
-    Its content security policy permits only the embedded scripts and styles, by their hashes, and no network.
-    """
+    """HTML text of the live page that contains `embedded`, the dict of `content`. Its content security policy permits
+    only the embedded scripts and styles, by their hashes, and no network."""
     text, notice = data.text(_HERE / "page.html"), codegen.ELEMENTARY.partition("*/")[0].removeprefix("/* ")
     for name in ("uPlot.min.css", "page.css", "uPlot.iife.min.js", "car.mjs", "page.js"):
         source = data.text(_HERE / name).replace("</script", "<\\/script")
@@ -127,7 +125,8 @@ def page(embedded: dict) -> str:
 
 
 def main() -> None:
-    """Write build/live/index.html, and in the same folder car.mjs and content.json, the dict of `content`."""
+    """Command `live`: write build/live/index.html, a page that simulates car and controllers in a browser, and in the
+    same folder car.mjs and content.json, the data that the page contains (`content`)."""
     embedded, folder = content(), paths.BUILD / "live"
     data.write(folder / "index.html", page(embedded))
     data.write(folder / "car.mjs", data.text(_HERE / "car.mjs"))

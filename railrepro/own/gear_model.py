@@ -54,11 +54,10 @@ def _creep(vehicle: Vehicle, middle: dict[str, float], steepening: float) -> tup
 
 
 def lateral_model(vehicle: Vehicle, speed: float) -> tuple[np.ndarray, ...]:
-    """Build the lateral model of a running gear at a speed (m/s): x' = a x + b du + e known + d unknown (SI).
-
-    Returns a (6, 6), b (6,), e (6, 7), d (6, 2), in the order of `STATES`, `KNOWN` and `UNKNOWN`. du is the
-    differential torque.
-    """
+    """Build the lateral model of a running gear at a speed (m/s): x' = a x + b du + e known + d unknown (SI), du the
+    differential torque. Returns a (6, 6), b (6,), e (6, 7), d (6, 2). x: displacement y, velocity vy, yaw angle psi,
+    yaw rate r, speed difference E, torque tau. known: track accelerations, angles and rail offset, in the order of
+    `KNOWN`. unknown: force, moment."""
     names = (*STATES, "du", *KNOWN, *UNKNOWN)
     z = dict(zip(names, np.eye(len(names)), strict=True))  # each quantity is a row of factors of all of these
     gear, wheel, stage = vehicle.gear, vehicle.wheel, vehicle.suspension

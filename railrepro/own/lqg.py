@@ -53,8 +53,9 @@ class Design:
     controller assumes. Without sensors (`loop` None) both filters assume ideal rails.
 
     Attributes:
-        a, b, e (ndarray, shapes (10, 10), (10,), (10, 7)): Model over 1 ms, x+ = a x + b du + e known. x has
-            `gear_model.STATES`, unknown force and moment, lateral offset of the rails (m) and its rate (m/s).
+        a, b, e (ndarray, shapes (10, 10), (10,), (10, 7)): Model over 1 ms, x+ = a x + b du + e known. x has the six
+            states `gear_model.STATES` (displacement y to torque tau), unknown force and moment, lateral offset of the
+            rails (m) and its rate (m/s).
         delay (int): Time from a reading to the torque (ms); 0 without sensors.
         sent (int): Number of torques that are delayed or act, at least 1.
         rails (tuple of float): Amplitude A of the rail spectrum in both filters (m rad).
@@ -92,12 +93,9 @@ class Design:
         self._units = np.array([*UNITS, settings.force, settings.moment, 1e-3, 1e-3 * speed])
 
     def kalman(self, rough: float) -> tuple[np.ndarray, ...]:
-        """Design the stationary Kalman filter for rails of amplitude A = `rough` (m rad).
-
-        Returns the gain (12, 3) from the innovation of y, psi, r to x and the two biases; the covariance (3, 3) of the
-        innovation; and the smoother (LAGS, 2, 3), whose row k is the gain to the rail offset (m) and direction (rad) k
-        times `LAG` ago.
-        """
+        """Design the stationary Kalman filter for rails of amplitude A = `rough` (m rad). Returns the gain (12, 3) from
+        the innovation of y, psi, r to x and the two biases; the covariance (3, 3) of the innovation; and the smoother
+        (LAGS, 2, 3), whose row k is the gain to the rail offset (m) and direction (rad) k times `LAG` ago."""
         s, h, read, drive = self.settings, CONTROL_PERIOD, self.read, np.zeros((_MODEL, 4))
         drive[_N, 0], drive[_N + 1, 1], drive[STATES.index("tau"), 2] = s.force, s.moment, s.twist
         drive[_RATE, 3] = np.sqrt(np.pi * rough * _SHORT**2 * self.speed**3)
@@ -117,11 +115,9 @@ class Design:
         return gain, covariance, smoother
 
     def regulator(self) -> tuple[np.ndarray, np.ndarray]:
-        """Design the regulator, whose output is the change of the torque from one ms to the next (N m).
-
-        Returns its gains: (10 + sent,) for x and then the torques sent, latest first; (points, 8) for the 7 known
-        inputs and the set point, at points of the preview `TAP` apart.
-        """
+        """Design the regulator, whose output is the change of the torque from one ms to the next (N m). Returns its
+        gains: (10 + sent,) for x and then the torques sent, latest first; (points, 8) for the 7 known inputs and the
+        set point, at points of the preview `TAP` apart."""
         n, h = _MODEL + self.sent, CONTROL_PERIOD
         a, b, error = np.zeros((n, n)), np.zeros(n), np.zeros(n)
         a[:_MODEL, :_MODEL], a[_MODEL, _MODEL], b[_MODEL] = self.a, 1.0, 1.0
@@ -180,7 +176,8 @@ def riccati(a: np.ndarray, b: np.ndarray, q: np.ndarray, units: np.ndarray) -> n
 
 @lru_cache(maxsize=1)
 def designs(vehicle: Vehicle, settings: "LqgPreview", loop: Loop | None) -> tuple[int, np.ndarray]:
-    """Make the designs at all `SPEEDS`; returns `Design.delay`, and an array (46, n) with `Design.table` of each."""
+    """Design filters and regulator of a gear at all `SPEEDS`. Returns the delay from reading to torque (ms), and an
+    array (46, n) with all numbers of the design (`Design.table`) for each speed."""
     made = [Design(vehicle, speed, settings, loop) for speed in SPEEDS]
     return made[0].delay, np.array([design.table() for design in made])
 
@@ -201,8 +198,9 @@ def _source(delay: int, taps: int) -> tuple[str, dict[str, int]]:
 
 @lru_cache
 def library(delay: int, taps: int) -> tuple[ctypes.CDLL, Any]:
-    """Compile lqg.c for `Design.delay` and a number of points of the preview; returns the shared object and the ctypes
-    class of its struct `lqg_t`."""
+    """Compile lqg.c, the controller, for a delay from reading to torque (ms) and a number of points of the preview.
+    Returns the loaded shared object, and the ctypes class of `lqg_t`, the struct with the controller's design and
+    memory."""
     text, sizes = _source(delay, taps)
     loaded = codegen.library((), codegen.PREAMBLE + text)
     loaded.lqg_sample.restype = ctypes.c_double
@@ -210,7 +208,7 @@ def library(delay: int, taps: int) -> tuple[ctypes.CDLL, Any]:
 
 
 class LqgGear:
-    """LQG controller with preview of one gear (0 front, 1 rear) in compiled C, a `lateral.SlowController`."""
+    """LQG controller with preview of one gear (0 front, 1 rear) in compiled C; `simulate.run` calls it once per ms."""
 
     period = CONTROL_PERIOD
 
@@ -219,8 +217,8 @@ class LqgGear:
         self.vehicle, self.route, self.gear, self.settings = vehicle, route, gear, settings
 
     def compiled(self, loop: Loop | None, leader: object = None) -> tuple[int, int]:
-        """Make the controller; returns the addresses of its C function and memory, see `lateral.SlowController`. The
-        rear gear gets the rails that its `leader`, the front gear, estimates if it is an `LqgGear`, too."""
+        """Make the controller; returns the addresses of its C function and memory, which `ClosedLoop.connect` takes.
+        The rear gear gets the rails that its `leader`, the front gear, estimates if it is an `LqgGear`, too."""
         (delay, table), vehicle, cells = designs(self.vehicle, self.settings, loop), self.vehicle, self.route.cells
         acceleration, partner, _ = nominal_values(vehicle, self.gear)
         self.sizes = delay, round(self.settings.preview / TAP) + 1
@@ -247,7 +245,7 @@ class LqgGear:
         return ctypes.cast(self.library.lqg_sample, ctypes.c_void_p).value or 0, ctypes.addressof(self.memory)
 
     def exported(self, gears: Sequence["LqgGear"], loop: Loop | None) -> str:
-        """C source, for an export, of the controllers [front, rear] with the tables of their designs."""
+        """C source for `export.Export`: controllers of the `gears` [front, rear], with the tables of their designs."""
         for gear in gears:
             gear.compiled(loop)
         memories = ", ".join(codegen.initialiser(gear.memory) for gear in gears)
@@ -259,7 +257,10 @@ class LqgGear:
 
 @table
 class LqgPreview:
-    """Factory of LQG controllers with preview, a guidance for `simulate.run`; notebook `12_lqg` derives settings."""
+    """Factory of LQG controllers with preview, as `guidance` of `simulate.run`. Fields: weights of torque change and
+    yaw rate (`change`, `turn`); random walks of unknown `force` and `moment`, noise of the torque rate (`twist`);
+    amplitude of the `rails`; times (s) of bias drift (`settle`), of forgetting (`memory`) and of `preview`. Notebook
+    `12_lqg` derives them."""
 
     change: Annotated[float, between(1e-13, 1e-3, "m2/(N m)2")] = 8e-10
     """Weight rho of the squared change of torque per millisecond, relative to that of y (m2/(N m)2)."""

@@ -22,7 +22,7 @@ _SUBSTEPS, _LIMIT = 20, 1e5  # Integration steps per control cycle; torque limit
 
 @dataclass(frozen=True)
 class Case:
-    """One simulated wheel: settings of its adhesion law, and adhesion set of its rail."""
+    """One wheel for `simulate`: settings of its adhesion law (slip control), and the friction numbers of its rail."""
 
     law: AdhesionSettings
     adhesion: AdhesionSet
@@ -30,7 +30,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Traces:
-    """Time series of single wheels: arrays of shape (ms, wheels)."""
+    """Time series of single wheels from `simulate`: arrays with a row per ms and a column per wheel."""
 
     adhesion: Annotated[Scalar, "-", "f_x, longitudinal force over wheel load, traction-positive"]
     slip: Annotated[Scalar, "-", "s_x = (v - w r)/v"]
@@ -80,12 +80,11 @@ def _cycle(vehicle: Vehicle) -> ca.Function:
 
 
 def simulate(vehicle: Vehicle, cases: Sequence[Case], speed, demand) -> Traces:
-    """Simulate single driven wheels under the 1 kHz adhesion law. They start rolling freely, with zero torque.
-
-    A wheel of `vehicle` with the load Q accelerates the mass Q/g. `cases` has adhesion law and rail of each wheel,
-    `speed` the initial running speeds (m/s), one number or shape (wheels,). `demand` is the set point of the adhesion
-    f_x (-), traction-positive, shape (ms,) or (ms, wheels).
-    """
+    """Simulate single driven wheels under the 1 kHz adhesion law (slip control), from free rolling with zero torque.
+    Returns adhesion, slip, torque, speed and the active segment of the law over time. A wheel of `vehicle` with the
+    load Q accelerates the mass Q/g. `cases` has the law and the rail of each wheel, `speed` the initial running speeds
+    (m/s), one number or shape (wheels,). `demand` is the set point of the adhesion f_x (force over load,
+    traction-positive), a value per ms: shape (ms,) or (ms, wheels)."""
     demand = np.asarray(demand, dtype=float).reshape(len(demand), -1)
     call = codegen.CompiledFunction(_cycle(vehicle).map("bare_wheels", "serial", len(cases), [], []))
     state, f_star, numbers = call.arguments

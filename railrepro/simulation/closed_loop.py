@@ -26,7 +26,8 @@ _SOURCE = Path(__file__).with_name("loop.c").read_text(encoding="utf-8")
 
 @lru_cache
 def library(signature: law.LawSignature) -> tuple[ctypes.CDLL, Any]:
-    """Compile `loop.c` with the 1 kHz law of this signature. Returns shared object and ctypes class of its `loop_t`."""
+    """Compile `loop.c`, the loop over car and control law, for a 1 kHz law of this signature (names of its inputs and
+    states). Returns the loaded shared object, and the ctypes class of `loop_t`, the struct on which the loop works."""
     measured = ", ".join(str(names(Outputs).index(name)) for name in interface.MEASURED)
     text = codegen.PREAMBLE + cycle.c_text(signature, len(names(signature.Gains)))
     text += codegen.defines({"MEASURED_OF_OUTPUT": "{" + measured + "}"})
@@ -42,11 +43,13 @@ class ClosedLoop:
     Attributes:
         car (SteppedCar): The simulated car on its route.
         control (ControlLaw): The 1 kHz law of both gears, from `railrepro.control.law.control_law`.
-        ended (bool): Whether the last `run` reached a limit.
+        ended (bool): Whether the last `run` reached a limit of `margins`.
         state (ndarray): State of the car (SI), the array `car.state`.
-        held (ndarray, shape (2,)): Last torques of slower controllers, front and rear gear (N m); writable.
+        held (ndarray, shape (2,)): Differential torques that slower controllers gave last, front and rear gear (N m);
+            writable.
         memory (ndarray): States of the law (SI), in the order of the names `control.signature.memory`; writable.
-        columns (tuple of str): Columns that `run` returns: outputs of the car, then the records of the law.
+        columns (tuple of str): Columns that `run` returns: outputs of the car such as "front.y", then signals of the
+            law.
     """
 
     held = codegen.in_c("held")
@@ -72,8 +75,8 @@ class ClosedLoop:
         parameters[:] = codegen.for_c("control: gains", control.gains, parameters.shape)
 
     def run(self, n: int) -> np.ndarray:
-        """Advance by n control cycles of 1 ms, or until a limit is reached, where the last row then is (see `margins`).
-        Returns an array with a row per cycle, taken before the car advances, and the columns `columns` (SI)."""
+        """Advance by n control cycles of 1 ms, or less if a limit of `margins` is reached, as it is in the last row
+        then. Returns an array with a row per cycle, taken before the car advances, and the columns `columns` (SI)."""
         require("n", n, between(0, math.inf), whole=True)
         self.car.c.period = CONTROL_PERIOD / self.car.c.substeps  # `SteppedCar.step` may have had another one
         blocks, block = [np.empty((0, len(self.columns)))], 1
@@ -91,7 +94,7 @@ class ClosedLoop:
         return np.concatenate(blocks)
 
     def connect(self, planners: Sequence[tuple[int, int]], every: int) -> None:
-        """Register slower controllers of the front and the rear gear, which `run` calls each `every` control cycles.
+        """Let `run` call slower controllers, such as MPC, of the front and the rear gear, each `every` control cycles.
         `planners` holds for each the addresses of a C function of the type `railrepro.control.cycle.SAMPLE` and of its
         memory. It is called before the law acts: with sensors it gets the estimated states of the previous cycle."""
         slot, _ = cycle.structures(self.control.signature)
@@ -101,5 +104,7 @@ class ClosedLoop:
 
     @property
     def margins(self) -> dict[str, float]:
-        """Distances to the limits by names of `interface.MARGINS`. A run ends when one is not positive."""
+        """Distances to the limits of a run, which ends when one is not positive: front.lateral and rear.lateral (m) to
+        derailment, track_end (m) and stop_speed (m/s) to the end; front.torque, rear.torque: 0 if the torque is not
+        finite, else 1."""
         return dict(zip(interface.MARGINS, self._arrays["margins"].tolist(), strict=True))

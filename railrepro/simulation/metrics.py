@@ -1,5 +1,6 @@
 """Figures of merit of a run: tracking error, delay, effort, stopping distance, adhesion utilisation. `series` is always
-`simulate.Run.series`, `gear` is "front" or "rear". Serves the paper's section Multi-Body Simulation Results."""
+the table `simulate.Run.series`: a row per ms, and columns such as front.y (m), as named in each docstring. `gear` is
+"front" or "rear". Serves the paper's section Multi-Body Simulation Results."""
 
 import numpy as np
 import pandas as pd
@@ -73,7 +74,8 @@ def gear_series(series: pd.DataFrame, gear: str = "front", stride: int = 1) -> p
 
 
 def lateral_error(series: pd.DataFrame, gear: str = "front") -> np.ndarray:
-    """Compute the lateral error y - y* of a gear over a run (m): displacement from the ideal track minus set point."""
+    """Compute the lateral error of a gear in each row of a run (m): y - y*, its displacement from the ideal track minus
+    the set point, from the columns front.y and front.y_ref (or rear.y and rear.y_ref) of `series`."""
     return Part(series, gear).y - Part(series, gear).y_ref
 
 
@@ -82,34 +84,35 @@ def _rms(values: np.ndarray) -> float:
 
 
 def rmse(series: pd.DataFrame, gear: str = "front") -> float:
-    """Compute the root mean square of `lateral_error` (m). Source: paper, section Evaluation of Lateral Control."""
+    """Compute the root mean square over a run of y - y* (m), columns front.y and front.y_ref (or rear.…) of `series`.
+    Source: paper, section Evaluation of Lateral Control."""
     return _rms(lateral_error(series, gear))
 
 
 def followed_rmse(series: pd.DataFrame, gear: str = "front") -> float:
-    """Compute the root mean square of a gear's displacement from the irregular rails minus its set point (m)."""
+    """Compute the root mean square of a gear's displacement from the irregular rails minus its set point (m), from the
+    columns front.y, front.rail_y and front.y_ref (or rear.…) of `series`."""
     return _rms(lateral_error(series, gear) - Part(series, gear).rail_y)
 
 
 def on_flange(series: pd.DataFrame) -> np.ndarray:
-    """Find the rows of a run in which a flange touches its rail: bool, shape (n,). A contact angle then exceeds 30
-    degrees, or a gear is more than 7 mm from the middle of the rails. With cones only the second can be."""
+    """Find the rows of a run in which a flange touches its rail: bool, shape (n,). A contact angle (columns such as
+    front_ri.angle) exceeds 30 degrees, or a gear is over 7 mm from the middle of the rails (front.y - front.rail_y)."""
     displacement = [np.abs(Part(series, gear).y - Part(series, gear).rail_y) for gear in GEARS]
     angle = [np.abs(Part(series, wheel).angle) for wheel in WHEELS]
     return (np.max(displacement, axis=0) > FLANGEWAY) | (np.max(angle, axis=0) > FLANGE_ANGLE)
 
 
 def reaches_flange(series: pd.DataFrame) -> bool:
-    """Find out whether a wheel touches its rail with the flange in any row of a run, see `on_flange`."""
+    """Find out whether a wheel touches its rail with the flange in any row of a run; columns as in `on_flange`."""
     return bool(on_flange(series).any())
 
 
 def delay(series: pd.DataFrame, gear: str = "front") -> float:
-    """Measure the distance along the track by which the displacement y of a gear trails its set point y* (m).
-
-    Both signals are detrended by a straight line and put on a grid of 0.1 m. The result is the lag within +-60 m with
-    the largest mean product of both, positive when y trails y*. It is nan when y* is constant or the car stands.
-    """
+    """Measure the distance along the track by which the displacement y of a gear trails its set point y* (m). Both,
+    columns front.y and front.y_ref (or rear.…) over front.p, are detrended by a line and put on a grid of 0.1 m. The
+    result is the lag within +-60 m with the largest mean product, positive when y trails y*; nan when y* is constant or
+    the car stands."""
     of_gear, step = Part(series, gear), 0.1
     p = of_gear.p
     grid = np.arange(p[0], p[-1], step)
@@ -126,20 +129,20 @@ def delay(series: pd.DataFrame, gear: str = "front") -> float:
 
 
 def effort(series: pd.DataFrame, gear: str = "front") -> float:
-    """Compute the root mean square of the differential torque of a gear over a run (N m)."""
+    """Compute the root mean square over a run of a gear's differential torque (N m), column front.du or rear.du."""
     return _rms(Part(series, gear).du)
 
 
 def activity(series: pd.DataFrame, gear: str = "front") -> float:
-    """Compute the root mean square of a gear's differential torque above 5 Hz (N m): noise or a limit cycle. The
-    high-pass is a Butterworth filter of fourth order, run forwards and backwards. `series` needs a row per ms."""
+    """Compute the root mean square of a gear's differential torque (column front.du or rear.du) above 5 Hz (N m): noise
+    or a limit cycle. Filter: Butterworth, fourth order, run forwards and backwards. `series` needs a row per ms."""
     du = Part(series, gear).du
     high_pass = scipy.signal.butter(4, ACTIVITY, "highpass", fs=1 / CONTROL_PERIOD, output="sos")
     return _rms(scipy.signal.sosfiltfilt(high_pass, du, padlen=min(100, du.size - 1)))
 
 
 def stopping_distance(series: pd.DataFrame) -> float:
-    """Measure the distance of the front gear over a run (m), also if the car does not stop."""
+    """Measure how far the front gear travels in a run (m), from its first to its last front.p, even without a stop."""
     p = Part(series, "front").p
     return float(p[-1] - p[0])
 
@@ -147,9 +150,9 @@ def stopping_distance(series: pd.DataFrame) -> float:
 def summary(series: pd.DataFrame) -> dict[str, tuple[float, str]]:
     """Compute the lateral metrics of a run as a dict: name -> (value, unit).
 
-    All are for the front gear, except rmse_y_rear. The functions `rmse`, `followed_rmse`, `delay`, `effort` and
-    `activity` define the first ones. rail_rmse_y is the root mean square of the displacement from the irregular rails,
-    mean_error_last_third the mean of y - y* over the last third of the rows, largest_error the largest |y - y*|.
+    Root mean squares: rmse_y and rmse_y_rear of y - y* (front, rear gear), followed_rmse_y with y from the irregular
+    rails, rail_rmse_y of this y alone (m), effort_du of the torque du, activity_du above 5 Hz (N m). delay of y behind
+    y*, largest_error |y - y*|, mean_error_last_third (of the rows) (m). All but rmse_y_rear are of the front gear.
     """
     error, front = lateral_error(series), Part(series, "front")
     return {
@@ -183,7 +186,7 @@ def adhesion_limit(speed: np.ndarray, share: np.ndarray, scenario: Scenario, veh
 def longitudinal(series: pd.DataFrame, scenario: Scenario, vehicle: Vehicle) -> dict[str, tuple[float, str]]:
     """Compute the metrics of traction and braking as a dict: name -> (value, unit).
 
-    - stopping_distance (m): see the function of this name.
+    - stopping_distance (m): distance that the front gear travels in the run.
     - largest_slip (-): largest |s_x| of all wheels.
     - utilisation (-), only with a force demand: mean of adhesion over `adhesion_limit`, for the front gear and the rows
       in which the demand exceeds this limit.

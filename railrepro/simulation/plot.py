@@ -48,8 +48,8 @@ def chosen(names: Sequence[str]) -> list[Panel]:
 
 
 def draw(axes: Sequence[Axes], panels: Sequence[Panel], series: pd.DataFrame, look: Mapping, gear: str) -> None:
-    """Draw a run over the track coordinate (m), each of `panels` into one of `axes`; the left wheel is paler. `series`
-    is a table of `metrics.gear_series` for this `gear`; `look` has keyword arguments of `Axes.plot`."""
+    """Draw the quantities of each of `panels` over the track coordinate (m) into one of `axes`; the left wheel is
+    paler. `series` is a table of `metrics.gear_series` for this `gear`; `look` has keyword arguments of `Axes.plot`."""
     p = series[metrics.column(gear, "p")]
     for axis, (_, (first, *second), factor, _) in zip(axes, panels, strict=True):
         for column in second:
@@ -58,7 +58,7 @@ def draw(axes: Sequence[Axes], panels: Sequence[Panel], series: pd.DataFrame, lo
 
 
 def draw_set_points(axes: Sequence[Axes], panels: Sequence[Panel], series: pd.DataFrame, gear: str) -> None:
-    """Draw the set points of a run; the arguments are as in `draw`."""
+    """Draw the set points of a run, such as y* in the panel of y, into its panels; the arguments are as in `draw`."""
     for axis, panel in zip(axes, panels, strict=True):
         if panel.reference:
             y = panel.factor * series[metrics.column(gear, panel.reference)]
@@ -75,7 +75,7 @@ def name_axes(figure: Figure, axes: np.ndarray, panels: Sequence[Panel]) -> None
 
 
 def figure_of(series: pd.DataFrame, names: Sequence[str], gear: str) -> Figure:
-    """Draw `simulate.Run.series` in a new figure with a row per panel."""
+    """Draw `simulate.Run.series` in a new figure with a row per panel, a key of `PANELS` ("y", "error", "du", …)."""
     panels, rows = chosen(names), metrics.gear_series(series, gear)
     figure, axes = figures.new_figure(len(panels), sharex=True, squeeze=False)
     draw(axes[:, 0], panels, rows, {"color": figures.BLUE, "label": f"{gear} running gear"}, gear)

@@ -36,11 +36,13 @@ def ride_summary(series: pd.DataFrame, vehicle: Vehicle) -> dict[str, tuple[floa
     """Compute figures of ride and safety from `simulate.Run.series` and the simulated car: name -> (value, unit).
 
     - sum_y_over_limit (-): largest track shifting force of a gear over Prud'homme's limit.
-    - y_over_q (-): largest mean of Y/Q over 2 m, of all wheels. A run shorter than 2 m raises InputError.
+    - y_over_q (-): largest mean over 2 m of Y/Q, lateral over vertical force, of all wheels. InputError for a shorter
+      run.
     - wheel_unloading (-): largest loss of wheel load over the load at rest, dQ/Q0, of all wheels.
     - flange_contacts (1/km): sum over the wheels.
-    - t_gamma, creep_work (N): see the function `creep_work`.
-    - n_mv_floor_front, n_mv_floor_centre, n_mv_floor_rear (-): `mean_comfort` at each point of `FLOOR`.
+    - t_gamma, creep_work (N): energy lost to creep per metre, mean of the wheels, without and with spin (`creep_work`).
+    - n_mv_floor_front, n_mv_floor_centre, n_mv_floor_rear (-): mean comfort N_MV at points of the floor
+      (`mean_comfort`).
     """
     t = series["t_s"].to_numpy()
     rate = (t.size - 1) / (t[-1] - t[0])
@@ -78,12 +80,10 @@ def _force_figures(series: pd.DataFrame, wheel_load: float, rate: float) -> dict
 
 
 def rail_forces(normal, creep, angle, side: str, roll) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the forces of a wheel on its rail (N) in axes of the track: Y, to the right, and Q, downwards.
-
-    `normal` is the normal force (N), `creep` the lateral creep force on the wheel, positive to the right (N), `angle`
-    the contact angle against the axle, positive towards the flange (rad), `side` "le" or "ri", and `roll` the roll
-    angle of the axle against the track (rad).
-    """
+    """Compute the forces of a wheel on its rail (N) in axes of the track: Y, to the right, and Q, downwards. `normal`
+    is the normal force (N), `creep` the lateral creep force on the wheel, positive to the right (N), `angle` the
+    contact angle against the axle, positive towards the flange (rad), `side` "le" or "ri", and `roll` the roll angle of
+    the axle against the track (rad)."""
     tilt = _OUTWARDS[side] * np.asarray(angle, dtype=float) - roll
     y = np.multiply(normal, np.sin(tilt)) - np.multiply(creep, np.cos(tilt))
     q = np.multiply(normal, np.cos(tilt)) + np.multiply(creep, np.sin(tilt))
@@ -119,9 +119,10 @@ def flange_contacts(angle, p) -> float:
 
 
 def creep_work(series: pd.DataFrame) -> dict[str, float]:
-    """Compute the energy lost to creep per metre (J/m = N), mean over the distance and the four wheels. The dict has
-    the keys "t_gamma", the wear number, which leaves out spin, and "creep_work" with the spin moment: it does much of
-    the work on an inclined contact, as of S1002. Source: Elkins and Eickhoff 1982 (recalled)."""
+    """Compute the energy lost to creep per metre (J/m = N), mean over distance and wheels, from creep forces and
+    creepages in `simulate.Run.series`. Keys of the dict: "t_gamma", the wear number, without spin; "creep_work" with
+    the spin moment, which does much of the work on an inclined contact, as of S1002. Source: Elkins and Eickhoff 1982
+    (recalled)."""
     lost = []
     for name, (gear, _) in GEAR_AND_SIDE.items():
         wheel, lengths = Part(series, name), np.gradient(Part(series, gear).p)
@@ -131,13 +132,11 @@ def creep_work(series: pd.DataFrame) -> dict[str, float]:
 
 
 def weighting_filter(name: str, rate: float) -> np.ndarray:
-    """Design the digital filter of the weighting "Wd" or "Wb" for a sampling rate (Hz), as second-order sections.
-
-    The sections are band limits at 0.4 and 100 Hz (Butterworth, second order), the transition from acceleration to
-    velocity and, for "Wb", an upward step, by the bilinear transform without pre-warping. At 1 kHz the weights are
-    within 0.2 % of the analogue ones up to 20 Hz, and within 4 % up to 80 Hz. Source: ISO 2631-1, annex A (read in the
-    manual of a vibration meter).
-    """
+    """Design the digital filter of the weighting "Wd" or "Wb" for a sampling rate (Hz), as second-order sections: band
+    limits at 0.4 and 100 Hz (Butterworth, second order), the transition from acceleration to velocity and, for "Wb", an
+    upward step, by the bilinear transform without pre-warping. At 1 kHz the weights are within 0.2 % of the analogue
+    ones up to 20 Hz, and within 4 % up to 80 Hz. Source: ISO 2631-1, annex A (read in the manual of a vibration
+    meter)."""
     transition, step, gain = WEIGHTINGS[name]
     low, high = (_quadratic(f, 1 / np.sqrt(2)) for f in (0.4, 100.0))
     slope = [gain / (2 * np.pi * transition), gain]

@@ -36,12 +36,14 @@ class Run:
     """Result of a simulation.
 
     Attributes:
-        series (DataFrame): One row per ms: t_s (s), then `ClosedLoop.columns` (SI), such as `front.y` and `front_le.N`.
+        series (DataFrame): One row per ms: t_s (s), then signals of car and control law (SI): front.p (track
+            coordinate), front.y (displacement), front.y_ref (set point), front.du (differential torque), front_le.N
+            (wheel load), …
         ended, failed (str, bool): Why the run ended; whether by derailment or by a number that is not finite.
         warnings (tuple of str): Sentences that say where the run first left the range in which a model is valid.
         controllers (tuple): Slower lateral controllers of both gears, such as MPC, whose attribute `fallbacks` counts
             samples without solution; () for a 1 kHz law.
-        memory (dict): Name in `law.LawSignature.memory` -> state of the control law at the end (SI).
+        memory (dict): Name of a state of the control law -> its value at the end (SI).
     """
 
     series: pd.DataFrame
@@ -125,8 +127,8 @@ def run(
 def start(
     scenario: Scenario, guidance: lateral.LateralLaw, route: Route, vehicle: Vehicle, plant_vehicle: Vehicle, **settings
 ) -> ClosedLoop:
-    """Couple car and 1 kHz law for a scenario. The car starts in vertical equilibrium at the initial speed. The
-    arguments are as in `run`; `settings` are its `adhesion`, `fixed_share`, `sensors` and `substeps`."""
+    """Couple car and 1 kHz law for a scenario, ready to run. The car starts in vertical equilibrium at the initial
+    speed. The arguments are as in `run`; `settings` are its `adhesion`, `fixed_share`, `sensors` and `substeps`."""
     substeps = settings.pop("substeps", 1)
     settings |= {"lateral_limit": component.DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
     control = law.control_law(vehicle, guidance, **settings)

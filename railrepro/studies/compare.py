@@ -33,20 +33,19 @@ _OF_SCENARIO = {field.name for field in fields(Scenario)}
 
 @dataclass(frozen=True)
 class Comparison:
-    """Metrics and series of several runs, with tables and figures of them; made by `compare`.
-
-    `rows` has one row per run: its labels and its metrics in SI units, see `Experiment.values`. `series` has the time
-    series of the front running gear of all runs below each other (`metrics.gear_series`), with labels and controller.
-    `labels` are the names of the columns by which the runs differ, as ("speed_kmh", "controller").
-    """
+    """Metrics and series of several runs, with tables and figures of them; made by `compare`. `rows` has one row per
+    run: its labels and its metrics in SI units, such as rmse_y, delay, effort_du, failed (all in `Experiment.values`).
+    `series` has the time series of the front running gear of all runs below each other: labels, controller, t_s,
+    front.p, front.y, front.y_ref, … `labels` are the names of the columns by which the runs differ, as ("speed_kmh",
+    "controller")."""
 
     rows: pd.DataFrame
     series: pd.DataFrame
     labels: tuple[str, ...]
 
     def __getitem__(self, quantity: str) -> pd.Series:
-        """Values by run (index `labels`) of a key of `QUANTITIES`, in its unit, or of a column of `rows` (SI).
-        InputError for any other name."""
+        """Values by run (index `labels`) of a quantity in the unit that its name ends with, as "rmse_mm", "delay_m" or
+        "effort_Nm" (keys of `QUANTITIES`), or of a column of `rows` (SI). InputError for any other name."""
         column, factor = QUANTITIES.get(quantity, (quantity, 1.0))
         if column not in self.rows:
             raise InputError(f"quantity {quantity!r} is not known; there are {[*QUANTITIES]} and columns of `rows`")
@@ -58,20 +57,18 @@ class Comparison:
         return pd.DataFrame({name: self[name] for name in quantities})
 
     def data(self, *panels: str) -> pd.DataFrame:
-        """Table of what `plot` draws for `panels`, with labels and track coordinate; columns as in
-        `metrics.FILE_COLUMNS`, which have the unit in their names."""
+        """Table of what `plot` draws for `panels`, with labels and track coordinate; columns have the unit in their
+        names, as p_m, y_m, y_ref_m."""
         named = [name for name in ("car", "setting", "scenario", "controller", *self.labels) if name in self.series]
         drawn = [name for panel in plot.chosen(panels) for name in (panel.reference, *panel.columns) if name]
         columns = [metrics.column("front", name) for name in ("p", *drawn)]
         return self.series[list(dict.fromkeys([*named, *columns]))].rename(columns=metrics.FILE_COLUMNS)
 
     def plot(self, *panels: str, columns: str = "", height: float = 1.3, more: int = 0) -> Figure:
-        """Draw panels below each other over the track coordinate (m); returns the figure, which is not saved.
-
-        `panels` are keys of `simulation.plot.PANELS`, one per row of `height` (in); "y" and "error" if there are none.
-        `columns` is a label, as "car", whose values have a column of panels each; "" for one column. `more` is the
-        number of empty rows below, for other diagrams.
-        """
+        """Draw panels below each other over the track coordinate (m); returns the figure, which is not saved. `panels`
+        are "y", "error", "du", "torques", "slip", … (`simulation.plot.PANELS`), one per row of `height` (in); default
+        "y" and "error". `columns` is a label, as "car", whose values have a column of panels each; "" for one column.
+        `more` is the number of empty rows below, for other diagrams."""
         names = panels or ("y", "error")
         chosen, shown = plot.chosen(names), self.rows[columns].unique() if columns else [""]
         width = figures.WIDTH if len(shown) == 1 else figures.HALF
@@ -118,19 +115,20 @@ def compare(
     stride: int = 20,
     **changes,
 ) -> Comparison:
-    """Simulate controllers in a scenario; an argument given as a list gives a run per value, in all combinations.
-
-    Each argument that is given as a list or mapping is a label of the runs, also with one entry.
+    """Simulate controllers in a scenario; an argument given as a list gives a run per value, in all combinations. Each
+    argument that is given as a list or mapping is a label of the runs, also with one entry.
 
     Args:
         scenario (str, Scenario, list or mapping): Name in data/scenarios.toml or a `Scenario`; a list of these, or a
             mapping of names to scenarios.
-        controllers (sequence or mapping): Keys of `CONTROLLERS`; or a mapping of names in tables to keys, or to dicts
-            with the entry controller (a key) and, if needed, r_times (factor on R) and fields of `Experiment`.
-        setting (str or list): Setting of comparison, from which tuned sets are taken; `loop` has sensors.
+        controllers (sequence or mapping): Keys of `CONTROLLERS`, as "nmpc", "ltv_mpc", "ndi"; or a mapping of names in
+            tables to keys, or to dicts with the entry controller (a key) and, if needed, r_times (factor on the weight
+            R of NMPC or MPC) and fields of `Experiment`.
+        setting (str or list): Conditions for which the controllers were tuned: "paper", exact measurements; "loop",
+            sensors with noise and delays, which the runs then have, too.
         car (mapping, optional): Name -> `World`, each with its own car, controllers and scenarios.
         solver (str): Solver of NMPC: rti, gauss_newton or ipopt.
-        noise_seed (int): Random seed of the sensors in the setting `loop`.
+        noise_seed (int): Random seed of the sensors in the setting "loop".
         stride (int): The series have every n-th control cycle (1 ms).
         changes: Fields of `Scenario`, each a value or a list of values; and fields of `Experiment` for all runs.
     """

@@ -36,7 +36,8 @@ _turn = threading.Lock()
 
 
 def workers() -> int:
-    """Number of local processes: RAILREPRO_WORKERS, default one per core. InputError unless it is 1 to 4096."""
+    """Number of local processes for simulations: environment variable RAILREPRO_WORKERS, 1 to 4096, default one per
+    core. InputError for another value."""
     given = os.environ.get("RAILREPRO_WORKERS", str(os.cpu_count() or 1))
     if not (given.isascii() and given.isdigit() and 1 <= int(given) <= 4096):
         raise InputError(f"RAILREPRO_WORKERS={given!r}, a whole number from 1 to 4096 is needed")
@@ -45,12 +46,9 @@ def workers() -> int:
 
 @contextmanager
 def executor() -> Iterator[futures.Executor]:
-    """Context manager of the processes that compute simulations.
-
-    They are those of the Dask scheduler at the address RAILREPRO_DASK (environment variable), or else local
-    (`workers`). Local ones stay for the next study; an exception (also Ctrl-C) ends them. InputError if no scheduler
-    answers at the address, or the package distributed is missing.
-    """
+    """Context manager of the processes that compute simulations: those of the Dask scheduler at the address in the
+    environment variable RAILREPRO_DASK, or else local ones (`workers`). Local ones stay for the next study; an
+    exception (also Ctrl-C) ends them. InputError if no scheduler answers, or the package distributed is missing."""
     if address := os.environ.get("RAILREPRO_DASK"):
         with _client(address) as client:
             yield client.get_executor(pure=False, retries=0)
@@ -158,10 +156,8 @@ def ordered_map(task: Callable, arguments: Sequence, title: str, quiet: bool = F
 
 
 def work(function: Callable, *arguments, limit: float | None = None):
-    """Return `function(*arguments)`. In a task of `ordered_map` a process of `executor` computes it, else this one.
-
-    In a task: TimeoutError after `limit` seconds, BrokenExecutor when the process ended.
-    """
+    """Return `function(*arguments)`. In a task of `ordered_map` a process of `executor` computes it, else this one. In
+    a task: TimeoutError after `limit` seconds, BrokenExecutor when the process ended."""
     pool = getattr(_around, "pool", None)
     if pool is None:
         return function(*arguments)

@@ -35,8 +35,8 @@ class Experiment:
     """Closed-loop run that is yet to be simulated; calling it returns its metrics and its series.
 
     Attributes:
-        scenario: Scenario
-        controller: Key of `registry.CONTROLLERS`.
+        scenario: Track, speed, adhesion, set point and force demand.
+        controller: Key of `registry.CONTROLLERS`, such as "nmpc", "ltv_mpc" or "ndi".
         label: Column -> value, added to the row of metrics and to the series, to tell runs apart.
         parameters: Tuning parameters by name (data/tuning.toml); None takes the tuned set of `setting`.
         options: Arguments of a predictive controller, as {"solver": "rti"}, see `registry.guidance`.
@@ -46,10 +46,12 @@ class Experiment:
         adhesion: Settings of the adhesion law (slip control); None takes its defaults, or those that the sensors need.
         fixed_share: Fraction of the torque limit reserved for guidance (-); 0 is the paper's allocation.
         alignment: Alignment of a track in place of that of the scenario; None keeps it.
-        irregular: Arguments of `rough_track` besides p, as {"spectrum": "en_B_300", "seed": 3}; {} is an ideal track.
-        preview: Arguments of `preview.plan` besides `frame`; {} is a controller without preview of irregular rails.
-        sensors: Arguments of `estimation.sensors.readings`; {} gives the controllers the true signals.
-        setting: Setting of comparison whose tuned parameters are taken: "paper" or "loop".
+        irregular: Irregular rails: spectrum, seed and local defects, the arguments of `rough_track` besides p, as
+            {"spectrum": "en_B_300", "seed": 3, "defects": [{"kind": "dip", …}]}; {} is an ideal track.
+        preview: Plan of the set point with known irregularities: arguments of `preview.plan` besides `frame`; {} for
+            none.
+        sensors: Sensors with noise and delays: arguments of `sensors.readings`; {} gives controllers the true signals.
+        setting: Setting of comparison whose tuned parameters are taken: "paper" (exact signals) or "loop" (sensors).
         substeps: Integration steps of the car per ms; None is 2 for ride figures on irregular rails, else 1.
         ride: Whether the row also has the comfort and force figures of `ride.ride_summary`.
         stride: The series has every n-th control cycle (1 ms), see `metrics.gear_series`; 0 for no series.
@@ -112,11 +114,9 @@ class Experiment:
         return _shared(packed, tuple((str(file), code.signature(file)) for file in files))
 
     def key(self, measure: "Measure") -> str | None:
-        """Hash under which `store` has the result of `measure` for this run, see `measured`.
-
-        It depends on the code and on all values of vehicle, tuning parameters, track and sensors, not on names and
-        labels. None for a controller from a user's file, whose results are not stored.
-        """
+        """Hash under which `store` has the result of `measure` for this run (see `measured`). It depends on the code
+        and on all values of vehicle, tuning parameters, track and sensors, not on names and labels. None for a
+        controller from a user's file, whose results are not stored."""
         if not _is_ours(self.controller):
             return None
         around = self._surroundings().digest
@@ -126,18 +126,14 @@ class Experiment:
 
     def measured(self, measure: "Measure") -> store.Entry:
         """Return `measure(run, experiment)` for this run, read from the store or simulated by `executor.work`.
-
         `measure` is a function of a module, which must not use the `label`. It returns a pair: a dict of plain values,
-        and a DataFrame of numbers or None.
-        """
+        and a DataFrame of numbers or None."""
         return store.entry(self.key(measure), lambda: work(_measured, self, measure))
 
     def __call__(self) -> tuple[dict, pd.DataFrame | None]:
-        """Simulate the run, or read its result from the store; returns a pair (row, series).
-
-        row: dict with the keys scenario, controller, those of `label` and of `values`. series: DataFrame of
-        `metrics.gear_series` with the `label` as columns, None for a `stride` of 0.
-        """
+        """Simulate the run, or read its result from the store; returns a pair (row, series). row: dict with scenario,
+        controller, the keys of `label`, and the metrics of `values`. series: DataFrame of t_s, front.p, front.y,
+        front.du, … (`metrics.gear_series`) with the `label` as columns, None for a `stride` of 0."""
         values, series = self.measured(_values)
         row = {"scenario": self.scenario.name, "controller": self.controller, **self.label, **values}
         return row, None if series is None else series.assign(**self.label)
@@ -145,9 +141,10 @@ class Experiment:
     def values(self, run: simulate.Run) -> dict:
         """Metrics of a run, in SI units, as a dict from name to value.
 
-        Keys: names of `metrics.summary` (NaN if the run failed), of `metrics.longitudinal` and, with `ride`, of
-        `ride.ride_summary`; failed (bool); failed_at_m (NaN unless failed); ended, why the run ended (text); warnings
-        (text); fallbacks, number of samples of both gears in which a predictive controller found no solution.
+        Keys: rmse_y, delay, effort_du, … of `metrics.summary` (NaN if the run failed); largest_slip, stopping_distance,
+        … of `metrics.longitudinal`; with `ride`, those of `ride.ride_summary`; failed (bool); failed_at_m (NaN unless
+        failed); ended, why the run ended (text); warnings (text); fallbacks, number of samples of both gears in which a
+        predictive controller found no solution.
         """
         vehicle, series = self._surroundings().car, run.series
         values = metrics.summary(series)
@@ -167,10 +164,8 @@ class Experiment:
 
 class Surroundings(NamedTuple):
     """Car, route and sensors around the controllers of a run. Runs of a study share them, so they must not be changed.
-
     `nominal` is the car that the controllers assume, `car` the simulated one. `digest` is a hash of all values from
-    which these follow; None if `store` does not take one of them.
-    """
+    which these follow, for keys of `store`; None if one of them has a type that `store` cannot hash."""
 
     nominal: Vehicle
     car: Vehicle
@@ -254,11 +249,10 @@ def _measured(experiment: Experiment, measure: Measure) -> store.Entry:
 
 
 def run_all(experiments: Sequence[Experiment], title: str) -> tuple[pd.DataFrame, pd.DataFrame | None]:
-    """Run experiments in parallel (`executor`), with a progress bar called `title`.
-
-    Returns a pair: a DataFrame with the row of each experiment, in order, and a DataFrame with their series below each
-    other and the column controller, None when no experiment has one. See `Experiment.__call__`.
-    """
+    """Run experiments in parallel (`executor`), with a progress bar called `title`. Returns a pair: a DataFrame with a
+    row per experiment, in order: scenario, controller, label, metrics (`Experiment.values`); and a DataFrame with their
+    time series below each other (t_s, front.p, front.y, front.du, …), each with its label and controller as columns,
+    None when no experiment has one."""
     results = ordered_map(call, experiments, title)
     pairs = zip(experiments, results, strict=True)
     series = [one.assign(controller=experiment.controller) for experiment, (_, one) in pairs if one is not None]

@@ -10,11 +10,9 @@ from railrepro.data import InputError, above, between, require
 
 def known(frame: pd.DataFrame, amplitude_error: float = 0.0, localisation_error_m: float = 0.0) -> pd.DataFrame:
     """Irregularities as a controller knows them, in a table with the columns of `frame`, which has the true ones.
-
     `frame` (from `rough_track`) has evenly spaced p_m (m) and any channels. `amplitude_error` is relative: with 0.1
     irregularities are known 10 % too large. `localisation_error_m` is how far ahead of its true coordinate a feature is
-    known (m). What would come from beyond the ends of `frame` is zero.
-    """
+    known (m). What would come from beyond the ends of `frame` is zero."""
     p, channels = frame["p_m"].to_numpy(), frame.drop(columns="p_m")
     true_p = p - localisation_error_m
     inside = (true_p >= p[0]) & (true_p <= p[-1])

@@ -67,13 +67,15 @@ def key(module: str, *parts) -> str | None:
 
 
 def digest(*parts) -> str:
-    """SHA-256 (hexadecimal) of values, equal on all machines; TypeError for a type that `key` does not name."""
+    """SHA-256 (hexadecimal) of values, equal on all machines. TypeError unless they are numbers, text, arrays,
+    DataFrames, dataclasses, lists and dicts of these."""
     return hashlib.sha256(json.dumps(_plain(parts)).encode()).hexdigest()
 
 
 @lru_cache(maxsize=1)
 def machine() -> dict[str, str]:
-    """All that decides the last digits of results, by name: environment, compiler, Python, processor, packages."""
+    """All that decides the last digits of results, by name: environment variables, compiler, Python, processor,
+    packages."""
     return {
         **{f"environment {name}": os.environ.get(name, "") for name in _NUMERICS},
         "the compiler": cache.identity(cache.compiler(), cache.flags()),
@@ -84,9 +86,9 @@ def machine() -> dict[str, str]:
 
 
 def folder() -> Path | None:
-    """Folder of the stored results: RAILREPRO_STORE, else build/store, or the user's cache where that cannot be
-    written. None, so that nothing is read or stored, if the variable is "off" or no folder can be written. InputError
-    if it is no absolute path."""
+    """Folder in which results of simulations are stored: that of the environment variable RAILREPRO_STORE, else
+    build/store, or the user's cache where that cannot be written. None, so that nothing is read or stored, if the
+    variable is "off" or no folder can be written. InputError if it is no absolute path."""
     given = os.environ.get(FOLDER, "")
     if given == "off":
         return None
@@ -96,10 +98,9 @@ def folder() -> Path | None:
 
 
 def entry(name: str | None, compute: Callable[[], Entry]) -> Entry:
-    """Return the result stored under the key `name`; without it call `compute`, store its result and return it.
-
-    Nothing is stored when `name` is None, or when railrepro was edited meanwhile.
-    """
+    """Return the result stored under the key `name`, a pair of a dict and a DataFrame or None; without it call
+    `compute`, store its result and return it. Nothing is stored when `name` is None, or when railrepro was edited
+    meanwhile."""
     file = None if name is None or (base := folder()) is None else base / name[:2] / f"{name[2:]}.json"
     content, intact = b"", False
     if file is not None:

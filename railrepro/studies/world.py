@@ -11,11 +11,10 @@ from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 @dataclass(frozen=True)
 class World:
-    """Car, controllers and sensors from which `experiment` makes runs.
-
-    `parameters` maps a controller to its tuning parameters by name, which belong to `setting`, one of
-    `registry.SETTINGS`. `vehicle`, `plant` and `sensors` are as in `Experiment`.
-    """
+    """Car, controllers and sensors from which `experiment` makes runs. `parameters` maps a controller to its tuning
+    parameters by name, which were tuned for the `setting` "paper" (exact measurements) or "loop" (sensors). `vehicle`
+    and `plant` map dotted names of vehicle parameters to changed values, in `plant` only for the simulated car, unknown
+    to its controllers. `sensors` are arguments of `sensors.readings`, {} for none."""
 
     parameters: dict[str, dict]
     setting: str = PAPER
@@ -25,16 +24,14 @@ class World:
 
     def experiment(self, scenario: Scenario, controller: str, parameters: dict | None = None, **more) -> Experiment:
         """Make the `Experiment` of a scenario with a controller (key of `registry.CONTROLLERS`) on this car.
-
-        `parameters` replace the controller's tuning parameters; `more` are further fields of `Experiment`.
-        """
+        `parameters` replace the controller's tuning parameters; `more` are further fields of `Experiment`."""
         given = {"options": CONTROLLERS[controller].quick, "sensors": self.sensors, "setting": self.setting} | more
         given |= {name: getattr(self, name) | more.get(name, {}) for name in ("vehicle", "plant")}
         given["parameters"] = parameters or self.parameters[controller]
         return Experiment(scenario, self.driver(controller), **given)
 
     def driver(self, controller: str) -> str:
-        """Key of `registry.CONTROLLERS` of the controller that is called `controller` here."""
+        """Key of `registry.CONTROLLERS`, such as "nmpc", of the controller that this world calls `controller`."""
         return controller
 
     def car(self) -> Vehicle:
@@ -47,7 +44,7 @@ class World:
 
 
 def world(controllers: Iterable[str], setting: str = PAPER, seed: int = 101) -> World:
-    """Make the `World` of the car of data/vehicle.toml with the tuned controllers of a setting of comparison. In the
-    setting `loop` it has sensors, whose noise has the random `seed`."""
+    """Make the `World` of the car of data/vehicle.toml with the controllers tuned in a setting, "paper" or "loop". In
+    "loop" it has sensors, whose noise has the random `seed`."""
     sets = {name: dict(parameters(name, setting)) for name in controllers}
     return World(sets, setting, sensors={"seed": seed} if setting == LOOP else {})

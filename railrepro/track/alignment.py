@@ -106,7 +106,7 @@ class SegmentsEntry:
 
 
 def alignments(path: Path | str | None = None) -> paths.Entries[Alignment]:
-    """Read all tracks of a TOML file, default data/tracks.toml. InputError for a wrong entry."""
+    """Read all tracks of a TOML file, default data/tracks.toml, as a dict by name. InputError for a wrong entry."""
     file = data.location(path, paths.source("data/tracks.toml"))
     tracks = {}
     for name, content in data.read(file).items():

@@ -30,7 +30,8 @@ SEED = data.between(0, 2**63)
 @data.table
 class Quality:
     """Track quality, an entry of data/irregularities.toml: standard deviations (mm) of longitudinal level and alignment
-    of one rail at wavelengths of 3 to 25 m. `confidence` is VV reproduced, V read, D derived, R recalled, A assumed."""
+    of one rail at wavelengths of 3 to 25 m. `confidence` says where the numbers come from: VV read in the source and
+    reproduced, V read, D derived, R recalled, A assumed."""
 
     level_mm: Annotated[data.Number, data.above(0.05, 20.0, "mm")]
     alignment_mm: Annotated[data.Number, data.above(0.05, 20.0, "mm")]
@@ -39,14 +40,13 @@ class Quality:
 
 def irregularity_spectrum(spectrum: str, channel: str, wavenumber: np.ndarray) -> np.ndarray:
     """One-sided power spectral density of a channel, in the shape of `wavenumber`. InputError for an unknown spectrum
-    or channel.
-
-    The gauge spectrum has the form of the cross-level spectrum; its amplitude is recalled from German high-speed
-    spectra (confidence R). Source: ERRI B176.
+    or channel. The gauge spectrum has the form of the cross-level spectrum; its amplitude is recalled from German
+    high-speed spectra. Source: ERRI B176.
 
     `spectrum` is "erri_low", "erri_high", or an entry of data/irregularities.toml such as "en_B_300". An entry scales
     "erri_low" to its standard deviations: "vertical" and "crosslevel" by one factor, "lateral" and "gauge" by another.
-    `channel` is "lateral", "vertical", "gauge" (m^2/(rad/m)) or "crosslevel" (rad^2/(rad/m)); `wavenumber` is angular.
+    `channel` is "lateral", "vertical", "gauge" (m^2/(rad/m)) or "crosslevel" (rad^2/(rad/m)); `wavenumber` is angular
+    (rad/m).
     """
     if channel not in CHANNELS:
         raise data.InputError(f"channel {channel!r} is not known; there are {[*CHANNELS]}")
@@ -82,7 +82,8 @@ def _amplitudes(spectrum: str) -> dict[str, float]:
 
 
 def track_quality() -> dict[str, Quality]:
-    """Read data/irregularities.toml. InputError for a wrong entry or one with the name of a built-in spectrum."""
+    """Read data/irregularities.toml as a dict: class of track, such as "en_B_300" -> `Quality`, its standard
+    deviations. InputError for a wrong entry or one with the name of a built-in spectrum."""
     file = paths.source("data/irregularities.toml")
     classes = data.build(dict[str, Quality], data.read(file), file.name)
     for name in _ERRI.keys() & classes.keys():
@@ -96,11 +97,9 @@ def irregularities(p: np.ndarray, spectrum: str = "erri_low", seed: int = 1) -> 
 
     They are a sum of cosines with random phases and wavelengths of 3 to 100 m, faded in and out over 30 m at the ends.
     The sum repeats after 4096 m, on a longer track after the next power of two. So all tracks up to 4096 m have the
-    same irregularities at the same p. Source: Shinozuka and Deodatis 1991, Applied Mechanics Reviews 44, 191 (spectral
-    representation by FFT).
-
-    The track coordinates p (m), shape (n,), increase by steps of up to 1.5 m. `spectrum` is as in
-    `irregularity_spectrum`; `seed`, 0 to 2^63, draws the phases.
+    same irregularities at the same p. Source: Shinozuka and Deodatis 1991, Applied Mechanics Reviews 44, 191. The track
+    coordinates p (m), shape (n,), increase by steps of up to 1.5 m. `spectrum` is as in `irregularity_spectrum`;
+    `seed`, 0 to 2^63, draws the phases.
     """
     data.require("irregularities: seed", seed, SEED, whole=True)
     p = coordinates("irregularities", p, SHORTEST / 2)
@@ -124,8 +123,8 @@ def irregularities(p: np.ndarray, spectrum: str = "erri_low", seed: int = 1) -> 
 
 
 def check(frame: pd.DataFrame) -> None:
-    """Raise InputError unless a frame has p_m, which increases, and the columns of `CHANNELS` within their ranges:
-    lateral_m +-0.02 m, gauge_m -0.01 to 0.035 m, vertical_m +-0.1 m, crosslevel_rad +-0.1 rad."""
+    """Raise InputError unless a frame of irregularities has an increasing p_m and, within these ranges, lateral_m
+    (+-0.02), gauge_m (-0.01 to 0.035), vertical_m (+-0.1 m), crosslevel_rad (+-0.1 rad)."""
     data.require("irregularities", frame, pd.DataFrame)
     for column in sorted({"p_m", *CHANNELS.values()} - set(frame)):
         raise data.InputError(f"irregularities lack the column {column}, needed are p_m and {[*CHANNELS.values()]}")

@@ -17,8 +17,8 @@ _HEIGHT = Annotated[data.Number, data.between(-LARGEST, LARGEST, "m")]
 
 @data.table
 class Dip:
-    """Vertical dip depth / 2 (1 - cos(2 pi (p - start) / length)) of the rail "le" (left), "ri" (right) or both, with
-    the length `length` from the track coordinate `start` (m). A negative `depth` (m) is a hump."""
+    """Vertical dip of the rail "le" (left), "ri" (right) or both: depth / 2 (1 - cos(2 pi (p - start) / length)), from
+    the track coordinate `start` over `length` (m). A negative `depth` (m) is a hump."""
 
     start: _START
     length: _LENGTH
@@ -27,7 +27,8 @@ class Dip:
     kind: Literal["dip"] = "dip"
 
     def channels(self, p: np.ndarray) -> dict[str, np.ndarray]:
-        """Columns of irregularities that the dip changes, with the change at track coordinates p (m)."""
+        """Change of the irregularities by the dip at track coordinates p (m): a dict with vertical_m and
+        crosslevel_rad."""
         shape = _versine(p, self.start, self.length, self.depth)
         left, right = (shape * (self.rail in ("both", side)) for side in ("le", "ri"))
         return {"vertical_m": (right + left) / 2, "crosslevel_rad": (right - left) / (2 * HALF_BASE)}
@@ -35,9 +36,9 @@ class Dip:
 
 @data.table
 class AlignmentFault:
-    """Lateral excursion amplitude / 2 (1 - cos(2 pi (p - start) / length)) of both rails, with the length `length` from
-    the track coordinate `start` (m). `amplitude` is measured from the ideal track, not from a chord (m, positive to the
-    right)."""
+    """Lateral bulge of both rails: amplitude / 2 (1 - cos(2 pi (p - start) / length)), from the track coordinate
+    `start` over `length` (m). `amplitude` (m, positive to the right) is its peak, measured from the ideal track, not
+    from a chord."""
 
     start: _START
     length: _LENGTH
@@ -45,7 +46,7 @@ class AlignmentFault:
     kind: Literal["alignment_fault"] = "alignment_fault"
 
     def channels(self, p: np.ndarray) -> dict[str, np.ndarray]:
-        """As `Dip.channels`."""
+        """Change of lateral_m, the only column of irregularities that the fault changes, at track coordinates p (m)."""
         return {"lateral_m": _versine(p, self.start, self.length, self.amplitude)}
 
 
@@ -65,7 +66,8 @@ class LateralOffset:
             raise ValueError(f"is {self.length:g} m long, at least two transitions of {self.transition:g} m are needed")
 
     def channels(self, p: np.ndarray) -> dict[str, np.ndarray]:
-        """As `Dip.channels`."""
+        """Change of lateral_m, the only column of irregularities that the offset changes, at track coordinates p
+        (m)."""
         to_nearest_end = np.minimum(p - self.start, self.start + self.length - p)
         return {"lateral_m": self.offset * smooth_step(to_nearest_end / self.transition)}
 
@@ -77,7 +79,8 @@ def _versine(p: np.ndarray, start: float, length: float, height: float) -> np.nd
 
 @data.table
 class Rough:
-    """Arguments of `rough_track`: defects to add, and `spectrum` and `seed` for `irregularities`."""
+    """Arguments of `rough_track`: local defects in the rails; name of the spectrum of the random irregularities; their
+    seed."""
 
     defects: tuple[Annotated[Dip | AlignmentFault | LateralOffset, Field(discriminator="kind")], ...] = ()
     spectrum: str = "erri_low"
@@ -85,10 +88,11 @@ class Rough:
 
 
 def rough_track(p: np.ndarray, **arguments) -> pd.DataFrame:
-    """Make random irregularities with local defects at track coordinates p (m), shape (n,): a frame like
-    `irregularities`. `arguments` are fields of `Rough`. `defects` is a list of dicts, such as {"kind": "dip", "start":
-    300.0, "length": 8.0, "depth": 3e-3}. InputError unless p covers every defect, with at least four steps in each dip,
-    fault and transition."""
+    """Make irregular rails at track coordinates p (m), shape (n,): a DataFrame with the columns p_m, lateral_m,
+    vertical_m, crosslevel_rad, gauge_m, random irregularities plus local defects. `arguments` are `spectrum`
+    ("erri_low", …), `seed` and `defects`, a list of dicts with the `kind` "dip", "alignment_fault" or "lateral_offset"
+    and the fields of its class, as {"kind": "dip", "start": 300.0, "length": 8.0, "depth": 3e-3}. InputError unless p
+    covers every defect, with at least four steps in each dip, fault and transition."""
     rough = data.build(Rough, arguments, "irregular")
     total = irregularities(p, rough.spectrum, rough.seed)
     p = total["p_m"].to_numpy()

@@ -50,8 +50,7 @@ class Route:
     Attributes:
         cells (ndarray of float64, shape (n, len(COLUMNS))): One row per cell: values of `COLUMNS` (SI) at the start of
             the cell; k letters d before a name mean the k-th derivative over p. Compiled code reads it; read-only.
-        length (float): Track coordinate at which a run ends (m). `lay` sets the end of the track, `Scenario.route`
-            `end_m`.
+        length (float): Track coordinate at which a run ends (m), by default that of the end of the track.
     """
 
     cells: np.ndarray
@@ -257,7 +256,7 @@ class SetPoint:
 
 @lru_cache
 def reference(of: SetPoint) -> ca.Function:
-    """Make the CasADi function p (m) -> y* (m) of a sine or sweep. InputError for another kind."""
+    """Make the CasADi function p (m) -> y* (m) of a lateral set point, a sine or sweep. InputError for another kind."""
     if of.kind not in (1, 2):
         raise InputError(f"set point: kind is {of.kind!r}, 1 (sine) or 2 (sweep) is needed")
     s = ca.SX.sym("p")

@@ -14,12 +14,10 @@ from railrepro.tuning.task import Task
 
 
 def driven(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Compute the metrics of a run that `run_cost` needs; a function for `Experiment.measured`.
-
-    Returns a pair (dict, None). Means over both running gears: rmse_y (m), effort_du (RMS of du, N m), activity_du (RMS
-    of du above 5 Hz, N m; NaN in a failed run). failed: whether the run failed or a wheel touched its flange; done:
-    fraction of the distance before that. With imperfect sensors rmse_y counts from the rails, otherwise from the track.
-    """
+    """Compute the metrics of a run that `run_cost` needs; a function for `Experiment.measured`. Returns a pair (dict,
+    None). Means over both running gears: rmse_y (m), effort_du (RMS of du, N m), activity_du (RMS of du above 5 Hz, N
+    m; NaN in a failed run). failed: whether the run failed or a wheel touched its flange; done: fraction of the
+    distance before that. With imperfect sensors rmse_y counts from the rails, otherwise from the track."""
     sensed = bool(experiment.sensors) and not experiment.sensors.get("perfect", False)
 
     def mean(metric):
@@ -36,10 +34,12 @@ def driven(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def run_cost(parts: dict, cost: dict) -> float:
-    """Cost of a run (-) from its metrics `parts` (dict of `driven`) and the table `cost` of data/tuning.toml.
+    """Cost of a run (-) from its metrics `parts` (dict of `driven`) and the table `cost` of data/tuning.toml, lower is
+    better.
 
     1e3 rmse_y / y_scale_mm + weight effort_du / du_scale_Nm + activity_weight max(activity_du / activity_Nm - 1, 0), or
-    failure (2 - done) for a failed run.
+    failure (2 - done) for a failed run. rmse_y is the lateral error, effort_du the differential torque, activity_du
+    that above 5 Hz, done the fraction of the distance before the failure.
     """
     if parts["failed"]:
         return cost["failure"] * (2 - parts["done"])
@@ -49,7 +49,8 @@ def run_cost(parts: dict, cost: dict) -> float:
 
 
 def missed(controller: str, task: Task, parameters: dict, speeds_kmh: Sequence[float]) -> float:
-    """Cost (-) of a parameter set whose disk margin is below that of the task at one of the speeds; 0 if none is."""
+    """Penalty (-) for a parameter set whose disk margin is below the least margin of the task at one of the speeds,
+    checked in their order; 0 if it is at none."""
     least = task.margin["least"]
     smallest = margin.smallest(controller, parameters, speeds_kmh, least, task.sensed)
     return task.cost["failure"] * (2 - smallest / least) if smallest < least else 0.0

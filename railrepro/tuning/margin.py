@@ -50,20 +50,17 @@ class _ProbedFactory(_Probed):
 
 
 def multisine(t, sine: Callable = np.sin):
-    """Disturbance of `sensitivity` (-): sum over `FREQUENCIES` f of sine(2 pi f t - phase), in type and shape of t.
-
-    `t` is a number, array or CasADi expression (s); `sine` is its sine function. Source: Schroeder 1970 (phases).
-    """
+    """Disturbance (-) that `sensitivity` adds to the torque, a sum of sines at 25 frequencies f from 0.5 to 32 Hz
+    (`FREQUENCIES`): sine(2 pi f t - phase). `t` is a number, array or CasADi expression (s), and the result alike;
+    `sine` is its sine function. Source: Schroeder 1970 (phases)."""
     count = len(FREQUENCIES)
     return sum(sine(2 * np.pi * f * t - np.pi * k * (k + 1) / count) for k, f in enumerate(FREQUENCIES))
 
 
 def disk_margin(values: np.ndarray) -> float:
-    """Symmetric disk margin a = 1 / max |S - 1/2| (-) from the complex `sensitivity` S at several frequencies.
-
-    The loop gain may change by a factor of (2 - a) / (2 + a) to (2 + a) / (2 - a), or the phase by 2 atan(a / 2) (rad).
-    Source: Seiler, Packard and Gahinet 2020.
-    """
+    """Symmetric disk margin a = 1 / max |S - 1/2| (-) from the complex sensitivity S at several frequencies. The loop
+    gain may change by a factor of (2 - a) / (2 + a) to (2 + a) / (2 - a), or the phase by 2 atan(a / 2) (rad). Source:
+    Seiler, Packard and Gahinet 2020."""
     return float(1 / np.abs(values - 0.5).max())
 
 
@@ -105,11 +102,9 @@ def peaks(
     controller: str, parameters: dict, speed_kmh: float, sensed: bool = False, vehicle: Vehicle | None = None
 ) -> dict:
     """Measure, or read from the store, the largest sensitivity of a controller with tuning `parameters` at a speed.
-
     Returns a dict: peak_sensitivity (max |S|) and disk_margin (-); inf and 0 if the loop is unstable or a run fails.
-    `controller` is a key of `registry.CONTROLLERS`, `sensed` says whether it has sensors, `vehicle` is as in
-    `sensitivity`.
-    """
+    `controller` is a key of `registry.CONTROLLERS`, `sensed` says whether it has sensors, `vehicle` is the car, default
+    data/vehicle.toml."""
     read = parameters, CONTROLLERS[controller].quick, speed_kmh, load_loop() if sensed else None
     key = store.key(__name__, "peaks", controller.removesuffix("_swarm"), *read, vehicle or load_vehicle())
     return store.entry(key, lambda: work(_peaks, controller, parameters, speed_kmh, sensed, vehicle))[0]
@@ -134,7 +129,8 @@ def smallest(
     sensed: bool = False,
     vehicle: Vehicle | None = None,
 ) -> float:
-    """Smallest disk margin (-) over speeds, or the first below `least`; inf without speeds. Arguments as in `peaks`."""
+    """Smallest disk margin (-) of a controller over speeds; the first below `least` ends the search; inf without
+    speeds. The other arguments are as in `peaks`."""
     margin = float("inf")
     for speed in speeds_kmh:
         margin = min(margin, peaks(controller, parameters, speed, sensed, vehicle)["disk_margin"])

@@ -13,8 +13,8 @@ load = tuned_set
 
 
 def save(result: dict, folder: Path) -> None:
-    """Write a `result` of `tune` or `by_rule` to CONTROLLER.json in a folder, and its history, which only a swarm has,
-    to CONTROLLER_particles.csv."""
+    """Write a `result` of `tune` or `by_rule`, a dict with the tuned parameters, to CONTROLLER.json in a folder, and
+    its table of evaluated particles, which only a swarm has, to CONTROLLER_particles.csv."""
     content, name = dict(result), result["controller"]
     history = content.pop("history", None)
     if history is not None:
@@ -23,5 +23,6 @@ def save(result: dict, folder: Path) -> None:
 
 
 def particles(controller: str, setting: str = PAPER) -> pd.DataFrame:
-    """Read the evaluated particles of all swarms of a controller, a row each, with the columns of `tune`'s history."""
+    """Read all parameter sets that the swarms of a controller evaluated, a row each: columns seed (of the swarm),
+    iteration, particle, cost (-) and each parameter."""
     return pd.read_csv(paths.source(f"{TUNED}/{setting}/{controller}_particles.csv"))

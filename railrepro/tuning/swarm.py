@@ -20,10 +20,8 @@ CONSTRICTION, ATTRACTION = 0.7298, 2.05
 
 @dataclass(frozen=True)
 class Dimension:
-    """Searched parameter with bounds `low` and `high`. InputError for an impossible range.
-
-    The swarm moves in the value on the scale "linear", in its logarithm on "log"; "integer" rounds the value.
-    """
+    """Searched parameter with bounds `low` and `high`. InputError for an impossible range. The swarm moves in the value
+    on the scale "linear", in its logarithm on "log"; "integer" rounds the value."""
 
     name: str
     low: float
@@ -55,10 +53,8 @@ class Dimension:
 
 class Swarm:
     """State of a particle swarm: `ask` gives a parameter set per particle, `tell` takes their costs and moves them.
-
     `start` (name -> value) is the parameter set of the first particle; all others begin at random, by `seed`.
-    InputError unless it has all parameters, within their bounds.
-    """
+    InputError unless it has all parameters, within their bounds."""
 
     def __init__(self, dimensions: list[Dimension], particles: int, seed: int, start: dict[str, float] | None = None):
         self.dimensions, self.seed, self.iteration = dimensions, seed, 0
@@ -84,10 +80,8 @@ class Swarm:
         return {d.name: d.value(x) for d, x in zip(self.dimensions, position, strict=True)}
 
     def tell(self, costs: Sequence[float]) -> None:
-        """Take the costs of the parameter sets of the last `ask`, in their order, and move the particles.
-
-        A cost of inf or NaN is worst. InputError for -inf, for what is no number, and for another number of costs.
-        """
+        """Take the costs of the parameter sets of the last `ask`, in their order, and move the particles. A cost of inf
+        or NaN is worst. InputError for -inf, for what is no number, and for another number of costs."""
         given, n = list(costs) if isinstance(costs, Iterable) else [costs], len(self.dimensions)
         wrong = [cost for cost in given if not isinstance(cost, numbers.Real) or cost == -math.inf]
         if wrong or len(given) != len(self.position):
@@ -144,9 +138,8 @@ def minimise(
     start: dict[str, float] | None = None,
     title: str = "",
 ) -> Swarm:
-    """Minimise a cost by a particle swarm; returns the swarm with its `best` set, `cost` and `history`.
-
-    InputError when the cost function gave no finite cost at all, or what `Swarm.tell` refuses.
+    """Minimise a cost by a particle swarm; returns the swarm with its `best` set, `cost` and `history`. InputError when
+    no cost is finite, and for -inf, what is no number, or another number of costs than particles.
 
     Args:
         evaluate (callable): Takes two lists, a parameter set (dict) and a limit per particle, and returns a list of
@@ -155,7 +148,7 @@ def minimise(
         dimensions (list of Dimension): Searched parameters.
         particles, iterations (int): Size of the swarm, and largest number of its moves.
         seed (int): Seed of the random numbers.
-        patience (int): Number of iterations after which the swarm stops unless the cost has fallen, see `stagnant`.
+        patience (int): The swarm stops once the cost has fallen by less than 1e-4 of its value over so many iterations.
         start (dict, optional): Parameter set of the first particle; the others begin at random.
         title (str): Title of the progress bar; empty for none.
     """

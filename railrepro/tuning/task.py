@@ -22,16 +22,17 @@ SEED = Annotated[int, between(0, 2**63)]
 
 @dataclass(frozen=True)
 class Task:
-    """Tuning task of one setting of comparison.
+    """Tuning task of one setting of comparison: what a swarm searches, and the simulated runs by which it judges.
 
     Attributes:
-        setting: One of `registry.SETTINGS`.
-        budget, cost, margin: Tables of data/tuning.toml with the keys of `Budget`, `Cost` and `Margin`.
+        setting: "paper" (exact measurements) or "loop" (sensors with noise and delays).
+        budget, cost, margin: Size of the search, scales of the cost, least disk margin: keys of `Budget`, `Cost`,
+            `Margin`.
         runs: Name -> run without a controller. The cost is the mean over these runs; the last one is the hardest.
         dimensions: Controller -> parameters that its swarms search, with bounds.
         designed: Controller -> tuning parameters chosen by hand, name -> value.
         start: Controller -> tuning parameters at which the first particle of each swarm begins.
-        rule: Inversion whose poles follow from the margin (`tune.by_rule`) -> its other tuning parameters.
+        rule: NDI controller whose poles are as fast as the margin permits (`tune.by_rule`) -> its other parameters.
         sensed: Whether the controllers have sensors.
     """
 
@@ -55,7 +56,8 @@ class Task:
 
 @data.table
 class Budget:
-    """Size of a search; `patience` is the number of iterations without improvement after which a swarm stops."""
+    """Size of a search: particles of a swarm, its largest number of iterations, and of iterations without improvement
+    (`patience`); a swarm per seed."""
 
     particles: COUNT
     iterations: COUNT
@@ -65,7 +67,10 @@ class Budget:
 
 @data.table
 class Cost:
-    """Scales and weights of the cost of a run, see `cost.run_cost`."""
+    """Scales and weights of the cost of a run, 1e3 rmse_y / y_scale_mm + weight effort_du / du_scale_Nm +
+    activity_weight max(activity_du / activity_Nm - 1, 0), or failure (2 - done) for a failed run. rmse_y is the lateral
+    error (m), effort_du the RMS of the differential torque, activity_du that above 5 Hz (N m), done the fraction
+    driven."""
 
     y_scale_mm: Annotated[Number, above(0.0, 1e3, "mm")]
     du_scale_Nm: Annotated[Number, above(0.0, 1e6, "N m")]
@@ -77,7 +82,8 @@ class Cost:
 
 @data.table
 class Margin:
-    """Least disk margin (-) that every set keeps at some speeds, in the order in which they are measured."""
+    """Least disk margin (-) that every tuned parameter set keeps at some speeds, in the order in which they are
+    measured."""
 
     least: Annotated[Number, between(0.0, 2.0)]
     speeds_kmh: tuple[Annotated[Number, between(10.0, 500.0, "km/h")], ...]
@@ -85,11 +91,10 @@ class Margin:
 
 @data.table
 class RunEntry:
-    """Run of the tuning task: a scenario by name, and what differs from it.
-
-    `seed` is the random seed of the sensors, `speed_kmh` None keeps the speed of the scenario. `irregular` and `plant`
-    are as in `Experiment`, `inverter` has changed entries of this table of data/sensors.toml.
-    """
+    """Run by which a tuning task judges, as in data/tuning.toml: a scenario by name, and what differs from it. `seed`
+    is that of the sensors' noise, `speed_kmh` None keeps the speed of the scenario. `irregular` has arguments of
+    `rough_track`, `plant` changed parameters of the car unknown to its controllers, `inverter` changed errors of the
+    inverters."""
 
     scenario: str
     end_m: Annotated[Number, between(1.0, 1e5, "m")]
@@ -102,7 +107,8 @@ class RunEntry:
 
 @data.table
 class SettingEntry:
-    """Setting of comparison: whether its runs have sensors, their names, and the rest as in `Task`."""
+    """Setting of comparison in data/tuning.toml: whether its runs have sensors, names of its runs, and by controller:
+    parameters chosen by hand, those beside poles that follow from the margin, those of a swarm's first particle."""
 
     sensors: StrictBool
     runs: Annotated[tuple[str, ...], NOT_EMPTY]
@@ -118,7 +124,8 @@ _BOUNDS = Annotated[dict[str, tuple[Number, Number, _SCALE]], NOT_EMPTY, _DIMENS
 
 @data.table
 class TaskFile:
-    """Content of data/tuning.toml; `controller` maps a controller to its list of `Dimension`."""
+    """Content of data/tuning.toml: size of a search, scales of the cost, least margin; the runs and settings of
+    comparison by name; and for each `controller` its searched parameters with bounds, a list of `Dimension`."""
 
     budget: Annotated[Budget, AS_GIVEN]
     cost: Annotated[Cost, AS_GIVEN]

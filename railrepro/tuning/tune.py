@@ -17,13 +17,13 @@ from railrepro.vehicle.parameters import Vehicle
 
 def tune(controller: str, task: Task | str = PAPER, quiet: bool = False) -> dict:
     """Tune a controller by a particle swarm per seed of the budget, in parallel (minutes; stored runs are read).
+    `controller` is one of `Task.searched`. `task` is a `Task`, or "paper" or "loop" for that in data/tuning.toml.
+    `quiet` leaves out the progress bars.
 
-    `controller` is one of `Task.searched`. `task` is a `Task`, or a setting of comparison for its task in
-    data/tuning.toml. `quiet` leaves out the progress bars.
-
-    Returns a dict. Of the best swarm: controller, setting, parameters, cost (-), runs (see `evaluate`), margins (see
-    `margins`). swarms: list of dicts with seed, cost, evaluations and parameters of each swarm. origin: dict of version
-    and budget. history: DataFrame with a row per evaluated particle, the columns of `Swarm.history` and seed.
+    Returns a dict. Of the best swarm: controller, setting, parameters, cost (-), runs (name, cost and metrics of each),
+    margins (disk margin at each speed). swarms: list of dicts with seed, cost, evaluations and parameters of each
+    swarm. origin: dict of version and budget. history: DataFrame with a row per evaluated particle: seed, iteration,
+    particle, cost, parameters.
     """
     task = task if isinstance(task, Task) else load_task(setting=task)
     bounded = controller.removesuffix("_swarm")
@@ -64,11 +64,10 @@ def margins(controller: str, task: Task, parameters: dict) -> list[dict]:
 def fastest_pole(
     controller: str, task: Task, parameters: dict, bounds: tuple[int, int] = (1, 200), vehicle: Vehicle | None = None
 ) -> float:
-    """Find the largest whole triple pole (rad/s) with which NDI keeps the margin of a task: the rule of poles.
-
-    `controller` is one of `INVERSIONS`, `parameters` are its other tuning parameters. The margin falls with the pole,
-    so the search bisects between the `bounds`. InputError if the lower one misses the margin.
-    """
+    """Find the largest whole triple pole (rad/s) with which NDI keeps the least disk margin of a task: the rule of
+    poles. `controller` is "ndi", "ndi_feedforward" or "ndi_integral", `parameters` are its other tuning parameters. The
+    margin falls with the pole, so the search bisects between the `bounds`. InputError if the lower one misses the
+    margin."""
     least, speeds = task.margin["least"], task.margin["speeds_kmh"]
 
     def misses(pole: int) -> bool:
@@ -82,10 +81,9 @@ def fastest_pole(
 
 
 def by_rule(controller: str, task: Task) -> dict:
-    """Tune NDI by the rule of poles (`fastest_pole`); its other parameters are those of `Task.rule`.
-
-    Returns a dict with the keys controller, setting, parameters, margins (see `margins`), origin (dict of version).
-    """
+    """Tune NDI by the largest triple pole that keeps the margin (`fastest_pole`); other parameters are those of
+    `Task.rule`. Returns a dict: controller, setting, parameters, margins (disk margin at each speed), origin (version
+    of railrepro)."""
     given = task.rule[controller]
     parameters = triple_pole(fastest_pole(controller, task, given)) | given
     result = {"controller": controller, "setting": task.setting, "parameters": parameters}
@@ -93,11 +91,9 @@ def by_rule(controller: str, task: Task) -> dict:
 
 
 def main(names: list[str]) -> None:
-    """Command `tune`: tune controllers and write data/tuned.
-
-    `names` are controllers and settings of comparison; without one of a kind all of this kind are tuned. InputError for
-    other names.
-    """
+    """Command `tune`: tune controllers (minutes each) and write their parameters to data/tuned, a CONTROLLER.json each,
+    and for swarms CONTROLLER_particles.csv, a row per evaluated parameter set with its cost. `names` are controllers
+    and settings ("paper", "loop"); without one of a kind all of this kind are tuned. InputError for other names."""
     tasks = {setting: load_task(setting=setting) for setting in SETTINGS}
     known = {name for task in tasks.values() for name in (*task.dimensions, *task.searched)}
     wanted = [name for name in names if name not in SETTINGS]
