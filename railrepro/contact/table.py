@@ -101,8 +101,8 @@ def in_cell(cell: dict, offset) -> dict:
 
 
 def contact_table(profile: str, vehicle: Vehicle) -> ContactTable:
-    """Make the table of the wheel profile "cone" or "s1002" with radius, load and material of a vehicle. InputError for
-    another profile."""
+    """Make the table of contact angle, rolling radius and patch over lateral shift, for the wheel profile "cone" or
+    "s1002" with radius, load and material of a vehicle. InputError for another profile."""
     material = vehicle.contact
     modulus = material.young / (2 * (1 - material.poisson**2))
     if profile == "cone":

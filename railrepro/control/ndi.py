@@ -79,8 +79,8 @@ def wanted_jerk(q: lateral.Quantities) -> ca.SX:
 def inverse(jerk: ca.SX, q: lateral.Quantities) -> ca.SX:
     """Differential torque (N m) at which y has the third time derivative `jerk` (m/s^3). `q` are symbols of gear, track
     and vehicle, see `lateral.Quantities`. The yaw equation is the corrected one of `railrepro.model.derivation` to
-    first order. It neglects the yaw stiffness by gravity, 1 % of that by springs, and the yaw moment of the base torque
-    on unequal rolling radii or a rolled axle."""
+    first order. It neglects the yaw stiffness by gravity, which is 1 % of that of the springs, and the yaw moment of
+    the base torque on unequal rolling radii or a rolled axle."""
     ydot, psidot_r = q.v * q.psi, q.yaw_rate - q.v * q.dpsi_dp
     psiddot_r = (jerk - 2 * q.xddot * psidot_r) / ca.fmax(q.v, 1.0)
     psiddot = psiddot_r + q.ddpsi_dp * q.v**2 + q.dpsi_dp * q.xddot

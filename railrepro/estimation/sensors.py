@@ -166,7 +166,7 @@ class Loop:
             raise ValueError(f"latency of {1e3 * total:g} ms in all, at most {LONGEST} ms are allowed")
 
     def perfect(self) -> Self:
-        """Copy with exact readings, no latency, and an adhesion law for exact readings. Inverter errors stay."""
+        """Copy with exact readings without latency and the adhesion law's settings for them; inverter errors stay."""
         exact = {sensor: replace(getattr(self, sensor), noise=0.0, bias=0.0, resolution=0.0) for sensor in _SENSORS}
         return replace(self, **exact, latency=Latency(0.0, 0.0), adhesion=Adhesion(5e-3, 1e-3, 0.0))
 
@@ -284,7 +284,7 @@ def delayed(line: list, cycles):
 
 
 def received_torque(line: list, gain: SensorGains):
-    """Compute the torque of a motor in this cycle (N m) from its last commands, one per ms, newest first (N m)."""
+    """Torque of a motor in this cycle (N m): delayed command of `line` (N m; one per ms, newest first) times gain."""
     return gain.torque_gain * delayed(line, gain.command + gain.unknown_delay)
 
 

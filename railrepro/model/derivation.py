@@ -55,8 +55,8 @@ def constraints(discrepancies: frozenset[str]) -> dict[sp.Symbol, sp.Expr]:
 
 
 def wheel_rotation(spin: sp.Expr) -> sp.Matrix:
-    """Absolute angular velocity of a wheel about roll, axle and yaw axis (rad/s), shape (3, 1), from its rate `spin`
-    about the axle (rad/s)."""
+    """Absolute angular velocity of a wheel (rad/s), shape (3, 1), in axes of the axle (roll, axle, yaw): that of the
+    axle, by the roll and yaw symbols of this module, plus the rate `spin` of the wheel relative to it (rad/s)."""
     return sp.Matrix([roll_rate, spin + psid * sp.sin(roll), psid * sp.cos(roll)])
 
 

@@ -108,8 +108,8 @@ def reference_in(cell: dict, p) -> tuple:
 
 
 def irregularity_in(cell: dict, channel: str, p) -> tuple:
-    """Value (m; rad for "crosslevel") of an irregularity and its slope over p (-; rad/m) at p (m) inside a cell.
-    `channel` is "lateral", "vertical", "crosslevel" or "gauge"; `p` and `cell` are as in `reference_in`."""
+    """Value (m; rad for "crosslevel") and slope (-; rad/m) of an irregularity at the track coordinate p (m): numbers or
+    CasADi symbols. `cell` is the row of `Route.cells` around p as a dict; `channel` "lateral", "vertical", …"""
     return _cubic([cell[name] for name in _orders(channel)], p - cell["p"])[:2]
 
 

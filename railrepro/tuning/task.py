@@ -107,8 +107,8 @@ class RunEntry:
 
 @data.table
 class SettingEntry:
-    """Setting of comparison in data/tuning.toml: whether its runs have sensors, names of its runs, and by controller:
-    parameters chosen by hand, those beside poles that follow from the margin, those of a swarm's first particle."""
+    """One setting of data/tuning.toml: sensors or not, names of its runs, and dicts controller -> parameter -> value:
+    `designed` by hand; fixed where a `rule` sets the poles by the margin; `start`, a swarm's first particle."""
 
     sensors: StrictBool
     runs: Annotated[tuple[str, ...], NOT_EMPTY]

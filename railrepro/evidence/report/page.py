@@ -161,8 +161,8 @@ class Page:
         return statements.find(identity, self.nominal.evidence(setting))
 
     def holds(self, identity: str, setting: str) -> bool:
-        """Whether a statement is reproduced in a `setting`, with "calibrated" on the car that was fitted to the
-        statements."""
+        """Whether the statement with the id `identity` is reproduced in `setting`: a column of verdicts, such as
+        "paper", or "calibrated", the car that was fitted to the statements."""
         if setting == "calibrated":
             return self.calibrated_car.get(identity) == "yes"
         return self.rules[identity].judge(self.find(identity, setting)) == statements.REPRODUCED
