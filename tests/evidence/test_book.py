@@ -22,7 +22,7 @@ def test_a_chapter_shows_number_formulas_links_and_captions(monkeypatch, tmp_pat
     assert text["source"].endswith("and [`02_contact`](02_contact.ipynb)")
     assert "\n\\begin{equation*}\na = b \\tag{8}\n\\end{equation*}\n" in text["source"]
     assert "\n\\begin{align*}a\\end{align*}\n" in text["source"]
-    assert drawn == CELLS[1] and caption["source"].startswith("**Figure 1.1.** Curvature")
+    assert drawn == CELLS[1] and caption["source"].startswith("**Figure 1.1.** ")
 
 
 def test_every_chapter_has_its_place_and_every_figure_its_caption():
