@@ -138,8 +138,8 @@ def entry(controller: str) -> str | Path:
 
 
 def ranked_seeds(of: str | Path) -> tuple[int, ...]:
-    """Random seeds of the suites whose scores rank a controller from `entry`: `RANKED` for a registered name, else five
-    from the SHA-256 of the file, unknown before its last change; its line endings do not count."""
+    """Seeds for `cases` whose scores rank a controller, as from `entry`: the five `RANKED` for a registered name; for a
+    file five from its SHA-256, so that nobody can tune to them: each change gives others, except of line endings."""
     if isinstance(of, str):
         return RANKED
     digest = hashlib.sha256(_SALT + of.read_bytes().replace(b"\r\n", b"\n")).digest()
@@ -240,8 +240,8 @@ def _row(run: Run, of: Experiment) -> store.Entry:
 
 
 def cost(row: dict) -> float:
-    """Cost J (-) of a run that did not fail, from its row of `drive`; see the head of this module. It is inf where a
-    metric is not finite."""
+    """Cost J >= 0 (-, less is better) of a run that did not fail, by the formula at the head of this module. `row` is
+    from `drive`; inf where a metric is not finite."""
     unused = 1 - min(row["utilisation"], 1.0) if np.isfinite(row.get("utilisation", np.nan)) else 0.0
     unsafe = max(row["y_over_q"] / Y_OVER_Q_LIMIT, row["sum_y_over_limit"])
     value = row["error"] / 1e-3 + row["effort_du"] / 4e3 + max(0.0, row["activity_du"] / 500 - 1)
@@ -250,7 +250,7 @@ def cost(row: dict) -> float:
 
 
 def points(row: dict) -> float:
-    """Points (0 to 100) of a run from one dict with its row of `drive` and the costs of `ends_of_the_scale`."""
+    """Points (0 to 100) of a run. `row` is its row of `drive` together with the entries of its `ends_of_the_scale`."""
     if row["failure"]:
         return 0.0
     q, nothing, best = (1 / (1 + value) for value in (cost(row), row["nothing"], row["best"]))
@@ -260,10 +260,10 @@ def points(row: dict) -> float:
 def ends_of_the_scale(case: Experiment) -> dict[str, float]:
     """Compute the costs J (-) that are worth 0 and 100 points in a run of `cases`, and a bound of its error; a dict.
 
-    nothing: cost of the run without guidance, inf if it fails. best: cost worth 100 points. limit: lower bound of the
-    RMS lateral error (m). With exact measurements best is 0 and limit NaN, as only the drive limits the error. With
-    sensors `uncertainty.limit` bounds the error for each of four RMS torques above 5 Hz (20 to 500 N m), on dry rail
-    with weak disturbances; best is the smallest sum of bound / 1 mm and torque / 4 kN m.
+    nothing: cost of the run without guidance, worth 0; inf if it fails. best: cost worth 100. limit: least possible RMS
+    lateral error (m). With exact measurements best is 0 and limit NaN. With sensors `uncertainty.limit` gives the least
+    error for each of four RMS torques above 5 Hz (20 to 500 N m), on dry rail with weak disturbances: limit is the
+    smallest, best the smallest sum of error / 1 mm and torque / 4 kN m.
     """
     row = drive(NOTHING, case)
     ends = {"nothing": float("inf") if row["failure"] else cost(row), "best": 0.0, "limit": float("nan")}
@@ -305,11 +305,10 @@ def score(
 def card(table: pd.DataFrame) -> pd.DataFrame:
     """Summarise a table of `score`: one row per seed, setting and metric.
 
-    Columns scenario (always "all"), controller, metric, value, unit, setting, seed. Metrics of all runs: score, mean
-    points, for which the runs with more delay or a slower drive (group "margins") count as one; margins, mean points of
-    that group; cases, number of runs. Metrics of the other runs: failures, number of failed runs; each of `METRICS`,
-    the largest value of wheel and track forces, the mean of others. The setting "all" has only the mean score of both
-    settings.
+    Columns scenario (always "all"), controller, metric, value, unit, setting, seed. Metrics: score, mean points, for
+    which the runs with more delay or a slower drive (group "margins") count as one; margins, mean points of that group;
+    cases, number of runs, that group as one. Without that group: failures, number of failed runs; each of `METRICS`,
+    the largest value of wheel and track forces, the mean of others. Setting "all" has only score, the mean of both.
     """
     rows = []
     for (seed, name), draw in table.groupby(["seed", "controller"], sort=False):
@@ -354,8 +353,8 @@ def tuning_cost(of: type, setting: str, runs: Sequence[str]) -> Callable[[list[d
     """Make the cost function with which `swarm.minimise` tunes a controller class `of`.
 
     `runs` are names of runs in data/tuning.toml for the `setting`, "paper" or "loop". The function takes a list of
-    dicts of gains and a list of limits, and returns per dict the mean cost over the runs (-). Once a cost is above its
-    limit, the remaining runs are left out: the cost is then a lower bound.
+    dicts of gains and a limit of the cost for each, and returns a list with the mean cost over the runs (-) for each. A
+    cost above its limit is a lower bound: the remaining runs were left out.
     """
     name, task = _registered(of), load_task(setting=setting)
     chosen = replace(task, runs={each: task.runs[each] for each in task.runs if each in runs})

@@ -134,9 +134,9 @@ def horizon_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
 def study_times(
     controllers: Sequence[str] = ("ndi", "nmpc"), settings: Sequence[str] = (PAPER, LOOP), repeats: int = 5
 ) -> pd.DataFrame:
-    """Measure the processor time of the runs by which a controller is tuned, without stored results: one row per
-    controller and setting. Columns: setting; controller; run_ms and loop_ms, time of a run and of the compiled loop in
-    it (ms), the mean over the runs of the median of `repeats`; ratio of both (-)."""
+    """Measure how long a run takes in tuning (processor time, no stored results): one row per controller and setting.
+    Columns: setting; controller; run_ms, a whole run, and loop_ms, the compiled closed loop in it (ms), both medians of
+    `repeats`, averaged over the runs of the tuning task; ratio, run_ms / loop_ms (-)."""
     rows = []
     for setting, controller in product(settings, controllers):
         task, quick, tuned = load_task(setting=setting), CONTROLLERS[controller].quick, parameters(controller, setting)

@@ -119,9 +119,9 @@ def _content(file: str) -> bytes:
 
 
 def inputs(notebook: Notebook, taken: Reads) -> dict[str, str]:
-    """Present state of what the results of a notebook depend on, except the machine: name -> hash or version. This is
-    its cells, its parameters, files that it read, packages, and modules of railrepro that it can import. `taken` maps
-    files to the tables that its last run read from them (`Ran.reads`)."""
+    """Hash or version of all that the results of a notebook depend on, except the machine, as it is now: name -> text.
+    These are its cells, its parameters, files that it read, packages, and modules of railrepro that it can import.
+    `taken` are the files that its last run read, with the names of tables read from them (`Ran.reads`)."""
     cells = data.read(notebook.path)["cells"]
     state = {"its cells": _hash(json.dumps(["".join(cell["source"]) for cell in cells]).encode())}
     state["its parameters"] = _hash(json.dumps(notebook.parameters, sort_keys=True).encode())

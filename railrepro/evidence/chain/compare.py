@@ -28,8 +28,8 @@ class Own:
 @data.table
 class Tolerance:
     """Tolerances for the comparison of two runs, the table [verify] of notebooks/chain.toml. `relative` is for numbers
-    of tables (-), `image_rms` for images (RMS, grey levels of 255), `own` for single columns of tables. Columns in
-    `not_compared` (computation times) may differ by any amount."""
+    in tables (over the largest in their column), `image_rms` for images (RMS, grey levels of 255), `own` for single
+    columns in place of `relative`. Columns in `not_compared` (computation times) may differ by any amount."""
 
     relative: _SHARE = 0.0
     image_rms: Annotated[data.Number, data.between(0.0, 255.0, "grey levels")] = 0.0

@@ -81,12 +81,12 @@ def cars() -> dict[str, ProbeSetup]:
 
 
 def judged(world: ProbeSetup, parts: Iterable[str] = PARTS) -> pd.DataFrame:
-    """Judge the paper's statements on a car with its controllers (`world`): one row per statement. Controllers whose
-    difference is within the scatter of tuning seeds are tied: the statement does not hold.
+    """Judge the paper's statements on a car with its controllers (`world`): one row per statement. Where controllers
+    differ by less than the scatter between tuning seeds, they are tied and the statement does not hold.
 
     `parts` are names of groups of runs (`PARTS`); statements that need other runs have no row. Columns: statement (id);
-    value; above and below, its limits (NaN for none); margin, distance of the value from the nearer limit over this
-    limit (absolute for a limit of zero), positive inside; holds, whether the statement is reproduced.
+    value; above and below, its lower and upper limit (NaN for none); margin, distance to the nearer limit over this
+    limit (not divided for a limit of 0), negative outside; holds, whether the statement is reproduced.
     """
     found, rows = statements.findings(Evidence(probe(world, parts), Nominal().evidence(PAPER).spread)), []
     for identity, rule in statements.load().items():
@@ -103,8 +103,8 @@ def judged(world: ProbeSetup, parts: Iterable[str] = PARTS) -> pd.DataFrame:
 
 
 def perturbed(choices: Mapping[str, Choice], size: float, draw: int) -> dict[str, Any]:
-    """Perturb fitted parameters at random; returns name -> value. Every number that differs from nominal is multiplied
-    by 1 + `size` u with u uniform in [-1, 1]; `draw` seeds u. k_a and k_s of poor rail stay at most 1."""
+    """Change fitted parameters (`choices`) at random; returns name -> value. Numbers other than nominal are multiplied
+    by 1 + `size` u, u uniform in [-1, 1] from the seed `draw`, others kept; k_a and k_s of poor rail stay at most 1."""
     rng, values = np.random.default_rng([SEED, draw]), _values(choices)
     for name, choice in choices.items():
         if data.is_number(choice.value) and choice.value != choice.nominal:
@@ -115,15 +115,15 @@ def perturbed(choices: Mapping[str, Choice], size: float, draw: int) -> dict[str
 
 def conflict(factor: float) -> pd.DataFrame:
     """Judge the calibrated car with the weight R of NMPC times `factor`: a table of `judged` with a column r_factor.
-    Over factors it shows which statements need different R."""
+    Calls with several factors show which statements need an R that others forbid."""
     values = _values(load())
     r = setup(values).parameters["nmpc"]["r"]
     return judged(setup(values | {"nmpc:r": factor * r})).assign(r_factor=factor)
 
 
 def undone(name: str) -> pd.DataFrame:
-    """Judge the calibrated car with one fitted parameter, `name`, back at its nominal value: a table of `judged` with a
-    column choice (the name). It shows which statements hold only by this parameter."""
+    """Judge the calibrated car with one fitted parameter, `name`, set back to its nominal value: a table of `judged`
+    with a column choice (this name). Statements that no longer hold in it depend on this parameter."""
     choices = load()
     return judged(setup(_values(choices) | {name: choices[name].nominal})).assign(choice=name)
 

@@ -35,7 +35,7 @@ class Nominal:
         return [column for column in COLUMNS if column in self._rows]
 
     def evidence(self, setting: str) -> Evidence:
-        """Return metrics and tables of a `setting` of `settings`; for "" only the tables that depend on no setting."""
+        """Return the metrics and tables that belong to a `setting`; for "" only the tables that have no setting."""
         if setting not in self._evidence:
             rows = self._rows.get(setting)
             known = ({}, {}) if rows is None else (tuned_metrics(rows), seeds_spread(rows))
@@ -49,9 +49,9 @@ class Nominal:
 
 
 def tuned_metrics(rows: pd.DataFrame) -> dict[Key, float]:
-    """Average metrics over the seeds of the noise: (scenario, controller, metric) -> value (SI). `rows` are those of
-    one setting in nominal_metrics.csv, of which only those of the final parameters (swarm 0) count. `failed` is 1 if
-    any run failed."""
+    """Average metrics over the seeds of the sensor noise: (scenario, controller, metric) -> value (SI). `rows` are
+    those of one setting in nominal_metrics.csv; those with swarm other than 0 (other tuning runs) are left out. The
+    metric `failed` is not averaged: it is 1 if any run failed."""
     values = rows[rows["swarm"] == 0].groupby(["scenario", "controller", "metric"], sort=False)["value"]
     return values.mean().to_dict() | {key: value for key, value in values.max().items() if key[2] == "failed"}
 

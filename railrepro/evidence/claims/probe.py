@@ -118,8 +118,8 @@ def losing(run: simulate.Run, experiment: Experiment) -> store.Entry:
     """Measure a run of Fig. 8 (loss of adhesion). Returns (dict, None).
 
     The dict has the metrics of `following`, `macro_slips` and `oscillation`; largest_slip of all wheels (-);
-    utilisation_late, adhesion over its peak from p = 240 m on (-); flange, 1 if one touches a rail; regular_deviation
-    from 110 to 130 m, see `deviation` (-), also of a failed run.
+    utilisation_late, adhesion of the front gear over its peak from p = 240 m on (-); flange, 1 if one touches a rail,
+    else 0; regular_deviation, `deviation` from 110 to 130 m (-). A failed run has only this and failed.
     """
     (values, _), series = following(run, experiment), metrics.gear_series(run.series, stride=10)
     if not run.failed:
@@ -157,7 +157,7 @@ def riding(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def braked(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Measure a braking run: (dict, None), with rmse_y and stopping_distance (m); inf if it failed or did not stop."""
+    """Measure a braking run. Returns (dict, None): rmse_y, stopping_distance (m), inf if it failed or did not stop."""
     row = experiment.values(run)
     stopped = not run.failed and run.series["front.v"].iloc[-1] < 0.2
     return {name: row[name] if stopped else float("inf") for name in ("rmse_y", "stopping_distance")}, None
@@ -367,9 +367,9 @@ def torque_step(series: pd.DataFrame) -> float:
 
 
 def torque_shift(first: pd.DataFrame, second: pd.DataFrame) -> dict[str, float]:
-    """Compute the lag of the differential torque in the run `second` behind the one in the run `first`. Both have the
-    columns front.p and front.du. Returns ndi_later, the lag along the track at which the torques correlate best (m, -15
-    to 40 m), and ndi_alike, their correlation at this lag (-)."""
+    """Compute how far along the track the differential torque of a run `second` lags behind that of a run `first`. Both
+    tables have the columns front.p and front.du. Returns a dict: ndi_later, the lag at which the torques correlate best
+    (m, -15 to 40, positive if `second` is later), and ndi_alike, their correlation at this lag (-)."""
     grid = np.arange(60.0, 590.0, 0.25)
     one, other = (np.interp(grid, rows["front.p"], rows["front.du"]) for rows in (first, second))
     shifts = np.arange(-60, 161)
@@ -379,8 +379,8 @@ def torque_shift(first: pd.DataFrame, second: pd.DataFrame) -> dict[str, float]:
 
 
 def shortfall(series: pd.DataFrame) -> float:
-    """Compute the mean by which y falls short of the crests of its set point y* (m): the larger of right and left.
-    `series` has the columns front.y and front.y_ref (y*). Crests are rows in which |y*| exceeds 5/6 of its maximum."""
+    """Compute how far y stays inside the crests of its set point y* (m), the rows with |y*| above 5/6 of its maximum:
+    mean over the positive or the negative ones, the larger counts. `series` has front.y and front.y_ref (y*)."""
     reference = series["front.y_ref"]
     short, crest = reference - series["front.y"], reference.abs().max() * 5 / 6
     return float(max(short[reference > crest].mean(), -short[reference < -crest].mean()))
@@ -448,7 +448,7 @@ def macro_slips(series: pd.DataFrame, peak: float, slip: float) -> dict[str, flo
 
 
 def adhesion_peak(scenario: Scenario, car: Vehicle) -> tuple[float, float]:
-    """Find the adhesion peak and its slip (-) on the poor rail of a scenario, at initial speed and static load."""
+    """Find the largest adhesion and the slip there (-) on poor rail in a scenario, at initial speed and static load."""
     patch = car.wheel_load, *middle_patch(car), car.contact.shear_modulus
     return adhesion_maximum(car.adhesion[scenario.poor], scenario.speed, *patch)
 

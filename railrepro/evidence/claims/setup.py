@@ -51,7 +51,7 @@ class ProbeSetup(World):
         return self
 
     def driver(self, controller: str) -> str:
-        """Return the key of `registry.CONTROLLERS` that drives under the name `controller`: for LTV-MPC it is `ltv`."""
+        """Map a controller of the statements to its key in `registry.CONTROLLERS`: itself, `self.ltv` for LTV-MPC."""
         return self.ltv if controller == MPC[1] else controller
 
     def scenario(self, name: str) -> Scenario:
@@ -88,12 +88,12 @@ def setup(values: Mapping[str, Any], column: str = PAPER, *, rank: int = 0, seed
     """Make a `ProbeSetup` from values by name; all else is as on the uncalibrated car.
 
     Args:
-        values (mapping): Keys: choices of `ProbeSetup`; "profile" (wheels of the simulated car, unknown to its
-            controllers); "brake_sweep:FIELD", as "brake_sweep:period_end_m" (set point of Fig. 9);
+        values (mapping): Keys: attributes of `ProbeSetup`, as "r_loss"; "profile" (wheels of the simulated car, unknown
+            to its controllers); "brake_sweep:FIELD", as "brake_sweep:period_end_m" (set point of Fig. 9);
             "CONTROLLER:PARAMETER", as "nmpc:r"; "ndi.pole" (triple pole, rad/s); "ltv_mpc_printed.r" (LTV-MPC has the
-            weights of NMPC with R times this); dotted keys of the vehicle.
-        column (str): Tuned parameters: "paper", "loop" (with sensors), or "swarm" ("paper", poles of NDI by swarm).
-        rank (int): Rank of the parameters among the tuning runs by cost; 0, or a rank beyond them: the final ones.
+            weights of NMPC, but R times this value); parameters of the vehicle, as "wheel.radius".
+        column (str): Whose tuned controllers: "paper", "loop" (with sensors), "swarm" ("paper", poles of NDI by swarm).
+        rank (int): 0 for the final parameters, n for those of the tuning run of (n + 1)th lowest cost, if there is one.
         seed (int, optional): Seed of the sensors with "loop". Without it, and otherwise, controllers get true signals.
 
     InputError for an unknown key or column, or a factor out of range. `ProbeSetup.checked` checks other values.

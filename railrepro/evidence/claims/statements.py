@@ -61,8 +61,8 @@ class MissingEvidence(KeyError):
 @dataclass(frozen=True)
 class Finding:
     """Measured value of a statement, which `Statement.judge` compares with its limits: the number `value` in
-    `Statement.unit` (with NaN it does not hold) and `weaker`, the same for the weaker form of the statement, if any.
-    `tie` is the scatter between seeds, ln(largest / smallest); within a factor exp(tie) of a limit is a tie."""
+    `Statement.unit` (NaN never holds) and `weaker`, the value for the weaker form of the statement, if it has one.
+    `tie` is ln(largest / smallest) between seeds: a `value` within the factor exp(tie) of a limit is a tie."""
 
     value: float
     weaker: float | None = None
@@ -107,7 +107,7 @@ class Evidence:
         return self(scenario, first, metric) / other if np.isfinite(other) else float("nan")
 
     def tie(self, scenario: str, controllers: Iterable[str], metric: str = "rmse_y") -> float:
-        """Return the largest scatter between seeds (`spread`) of a metric among `controllers`; 0 if there is none."""
+        """Return the largest scatter of a metric between seeds (`spread`, a logarithm) of `controllers`; 0 if none."""
         return max((self.spread.get((scenario, name, metric), 0.0) for name in controllers), default=0.0)
 
     def ahead(self, scenario: str, first: str, second: str) -> bool:
@@ -275,8 +275,8 @@ def _gyroscope(e: Evidence) -> float:
 
 
 def usual_times(e: Evidence, solver: str, column: str = "median_ms") -> pd.Series:
-    """Solution times of a solver as a Series by scenario: a `column` of table solve_times, without the problems in
-    which bounds are active."""
+    """Take a `column` of table solve_times for a solver: Series by scenario, without problems in which bounds are
+    active."""
     times = e.table("solve_times").query("solver == @solver")
     return times[~times["scenario"].str.contains("bounds")].set_index("scenario")[column]
 

@@ -54,9 +54,9 @@ def evaluate(nominal: Nominal) -> pd.DataFrame:
 
 
 def headline(rows: pd.DataFrame) -> str:
-    """Verdict of one statement that the report shows first: that in the setting "paper", or the one without a setting.
-    `rows` are the rows of one id from `evaluate`. Returns "no verdict" where data/claims.toml has a kind other than
-    "statement", and "not testable" without such a row."""
+    """Pick the verdict on one statement that the report shows first. `rows` are its rows of the table of `evaluate`,
+    which has one per setting. Returns the verdict (column judged) of the row with setting "paper" or ""; "not testable"
+    if there is none, "no verdict" if the column kind is not "statement"."""
     if set(rows["kind"]) != {"statement"}:
         return NO_VERDICT
     counts = rows[rows["setting"].isin(("", HEADLINE))]["judged"]

@@ -19,9 +19,9 @@ from railrepro.evidence.claims.setup import ProbeSetup, setup
 
 @data.table
 class Question:
-    """Open question to the authors of the paper, one table of data/answers.toml. `asks` is its text. `sets` are the
-    names (keys of `claims.setup.setup`) that the answer sets. `parts` are the groups of runs (`probe.PARTS`) that
-    depend on it. `answer` has a value in `unit` per name, or fewer values that are repeated; () is no answer yet.
+    """Open question to the authors of the paper, one table of data/answers.toml. `asks` is its text, `sets` names the
+    parameters whose values are asked for (keys of `claims.setup.setup`), `parts` the groups of runs (`probe.PARTS`)
+    that depend on it. `answer` has a value (in `unit`) for each of `sets`, or fewer, used in turn; () is no answer yet.
     ValueError when the number of values does not divide the number of names."""
 
     asks: str

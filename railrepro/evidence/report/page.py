@@ -96,8 +96,8 @@ class Page:
         return "## ".join(_linked_once(section) for section in text.split("## "))
 
     def render(self, template: str, **more) -> str:
-        """Return the text of a template in data/, which may use the notebooks (`chapters`), the tolerances of their
-        comparison (`verify`), the captions of figures and the values `more`."""
+        """Return the text that a template makes, a file name in data/. It may use the notebooks (`chapters`), the
+        tolerances of their comparison (`verify`), the captions of figures and the named values `more`."""
         chain, captions = (data.read(paths.NOTEBOOKS / name) for name in ("chain.toml", "book/captions.toml"))
         more |= {
             "chapters": chain["notebook"],
@@ -114,7 +114,8 @@ class Page:
         return head + BEGIN + self._jinja.get_template("readme.md.j2").render() + END + tail
 
     def contract(self) -> pd.DataFrame:
-        """Content of claims.csv: `judged` without the column data, with a column why, the reasons for each failure."""
+        """Table of claims.csv: `judged` without its column data, but with a column why: for a statement that fails, the
+        sentences of data/theses.toml with the role "why" that name it; else ""."""
         reasons, table = self.sentences("why"), self.judged.drop(columns="data")
         why = pd.Series([" ".join(says for of, says in reasons if identity in of) for identity in table["id"]])
         fails = (self.judged["judged"] != statements.REPRODUCED) & (self.judged["data"] != "")
@@ -153,7 +154,7 @@ class Page:
         return linked(self.e(setting, scenario, controller, metric), METRICS, unit)
 
     def sudden(self, metric: str, controller: str) -> list[float]:
-        """Metric (SI) of a controller in each of the four sudden losses of adhesion, in the setting "paper"."""
+        """Metric (SI) of a controller in "paper": its four values, one per run with a sudden loss of adhesion."""
         return [self.e(PAPER, case, controller, metric) for case in statements.SUDDEN]
 
     def find(self, identity: str, setting: str) -> statements.Finding:
@@ -161,8 +162,8 @@ class Page:
         return statements.find(identity, self.nominal.evidence(setting))
 
     def holds(self, identity: str, setting: str) -> bool:
-        """Whether the statement with the id `identity` is reproduced in `setting`: a column of verdicts, such as
-        "paper", or "calibrated", the car that was fitted to the statements."""
+        """Whether the statement with the id `identity` is reproduced. `setting` may also be "calibrated", for the car
+        that was fitted to the statements."""
         if setting == "calibrated":
             return self.calibrated_car.get(identity) == "yes"
         return self.rules[identity].judge(self.find(identity, setting)) == statements.REPRODUCED
@@ -184,18 +185,18 @@ class Page:
         return rows.iloc[0]
 
     def tuned_rmse(self, controller: str, setting: str) -> float:
-        """RMSE of y (m) on T3 with the best tuned parameters of a controller, from settings_metrics.csv."""
+        """RMSE of y (m) on track T3 with the parameters of the tuning run of least cost, from settings_metrics.csv."""
         seed = min(sets.load(controller, setting)["swarms"], key=lambda swarm: swarm["cost"])["seed"]
         where = {"scenario": "curve_entry_T3", "setting": setting, "controller": controller, "swarm": seed}
         return self.cell("settings_metrics", "value", metric="rmse_y", **where)
 
     def time(self, solver: str, column: str = "median_ms") -> float:
-        """Median over the scenarios of a `column` of solve_times.csv (ms) for a `solver`, in the setting "paper"."""
+        """Solution time (ms) of a `solver` in "paper": a `column` of solve_times.csv, its median over the scenarios."""
         return float(statements.usual_times(self.nominal.evidence(PAPER), solver, column).median())
 
     def value(self, identity: str) -> str:
-        """Markdown link "[value unit](its table)" of the measured value of a statement (in "paper", if it has
-        settings)."""
+        """Measured value of a statement as Markdown link "[value unit](its table)", that in "paper" if it differs by
+        setting."""
         headline = self.judged["setting"].isin(("", claims.HEADLINE))
         row = self.judged[(self.judged["id"] == identity) & headline].iloc[-1]
         return linked(number(row["measured_value"], row["unit"]), row["data"])

@@ -64,9 +64,9 @@ def experiments() -> list[Experiment]:
 
 
 def row(kind: str, case: str, scenario: str, change: dict, **more) -> list[Experiment]:
-    """List the runs of one case of loop_table.csv: LQG with preview and its rivals (`COMPARED`), each with all `SEEDS`
-    of the sensors. `kind` and `case` label the runs. With the kind "irregular" there are three seeds, and each also
-    draws the rails. `scenario` is a name, `change` has changed fields of this scenario, `more` further fields of
+    """Make the runs of one case of loop_table.csv: each controller of `COMPARED` (LQG with preview and its rivals) with
+    each of `SEEDS` of the sensors; with the kind "irregular" three seeds, which also draw the rails. `kind` and `case`
+    label the runs, `scenario` is a name, `change` are fields of it to replace, `more` further fields of
     `Experiment`."""
     driven, runs = load_scenario(scenario).but(**change), []
     more |= {"label": {"kind": kind, "case": case}, "setting": LOOP}

@@ -67,7 +67,7 @@ class Sample:
     values: tuple[tuple[str, float], ...]
 
     def world(self, seed: int | None = None) -> ProbeSetup:
-        """Make the car and controllers of the sample (`ProbeSetup`); `seed` is the seed of the sensor noise."""
+        """Make the car of the sample and its controllers, not yet retuned to it; `seed` is that of the sensor noise."""
         v = dict(self.values)
         if _PROFILE in v:
             v["profile"] = ("cone", "s1002")[int(v.pop(_PROFILE))]
@@ -86,8 +86,8 @@ def draw(count: int, settings: Sequence[str] = COLUMNS) -> list[Sample]:
 
 
 def evaluate(sample: Sample) -> dict:
-    """Retune the paper's three controllers slightly on a sampled car, then simulate the runs that judge the statements,
-    with another seed of the noise.
+    """Adjust the tuning of the paper's three controllers to a sampled car, then simulate the runs that judge the
+    statements, with another seed of the sensor noise than for the tuning.
 
     Returns a dict. Keys: number and setting of the sample; profile ("cone", "s1002"); ltv (variant of LTV-MPC); each
     name in `Sample.values`, with its value; "scenario/controller/metric", with metrics (SI) of `probe.probe`.
@@ -164,10 +164,10 @@ def shares(table: pd.DataFrame | None) -> pd.DataFrame:
 
 
 def decided(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the table of `shares` with a column decided_by: parameters (of `prior`) on which a statement depends.
+    """Return the table of `shares` with a column decided_by, the parameters (of `prior`) that decide on a statement.
 
-    It has up to three names, joined by commas, whose rank correlation with the truth of the statement is significant (p
-    < 0.001, Bonferroni). `table` has rows of `evaluate` in one setting.
+    It has up to three names, joined by commas: those whose rank correlation with "holds" over the samples is
+    significant (p < 0.001, Bonferroni). `table` has rows of `evaluate` in one setting.
     """
     result, judged = shares(table), holds(table)
     factors, names = table[[dimension.name for dimension in prior()]], []
