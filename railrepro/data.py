@@ -48,7 +48,9 @@ def is_number(value: Any) -> bool:
 
 @dataclass(frozen=True)
 class Quantity:
-    """Unit and permitted range of a number: the annotation of a field of type `float`, `int` or `Number`."""
+    """Unit and permitted range of a number x, the annotation of a field of type `float`, `int` or `Number`: low < x <=
+    high. With `closed`, x = low is permitted as well. With `signed`, |x| instead of x must be in the range, so that x
+    may also be negative."""
 
     low: float
     high: float
@@ -85,7 +87,7 @@ class Quantity:
 
 
 def above(low: float, high: float, unit: str = "", signed: bool = False) -> Quantity:
-    """Annotation of a number x by its unit and range, low < x <= high, or low < |x| <= high with `signed`."""
+    """Annotation of a number x by unit and range: low < x <= high, or with `signed` low < |x| <= high, either sign."""
     return Quantity(low, high, unit, signed=signed)
 
 
@@ -237,12 +239,10 @@ _adapter = functools.cache(pydantic.TypeAdapter)
 
 
 def build(kind: type, content: Any, where: str, instance: Any = None) -> Any:
-    """Check dicts and lists as from `read` and convert them to instances of a class. InputError names the first fault.
-
-    `kind` is a class marked with `table`, or `dict[str, that class]` for named tables; `where` names the file in the
-    message. `instance` is for constructors: the new object, which takes the values. Validators see in the `context` of
-    pydantic whether it is None, so that the content is that of a file.
-    """
+    """Check dicts and lists as from `read` and convert them to instances of a class. `kind` is a class marked with
+    `table`, or `dict[str, that class]` for named tables. `where` names the file in the message of the InputError, which
+    tells the first fault. A constructor passes its new object as `instance`, which takes the values. For the content of
+    a file `instance` is None; validators then find True in the `context` of pydantic, else False."""
     try:
         return _adapter(kind).validator.validate_python(content, self_instance=instance, context=instance is None)
     except pydantic.ValidationError as error:

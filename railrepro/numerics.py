@@ -25,8 +25,8 @@ def has_avx2() -> bool:
 
 
 def variables() -> dict[str, str]:
-    """Environment variables that make results repeatable, name -> value: one thread for sums (`ALWAYS`), and on
-    processors with AVX2 its kernels in OpenBLAS and NumPy (`WITH_AVX2`), without those that the caller has set."""
+    """Environment variables that make results repeatable, name -> value: `ALWAYS`, for one thread, and on processors
+    with AVX2 those of `WITH_AVX2` that are not set yet, which select the same kernels of OpenBLAS and NumPy."""
     return ALWAYS | {name: value for name, value in WITH_AVX2.items() if has_avx2() and name not in os.environ}
 
 

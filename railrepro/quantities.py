@@ -43,8 +43,8 @@ def _members(of: Any) -> list[tuple[str, type | None, tuple[str, ...] | None, An
 
 
 def notes(of: type) -> list[tuple[str, Any]]:
-    """Return name and unit of all numbers in a dataclass of quantities, in order, such as ("front.y", "m"). In place of
-    the unit is a field's `data.Quantity` if it has one, its type if it has neither, None for an element of a list."""
+    """Return (name, unit) of all numbers in a dataclass of quantities, in order, such as ("front.y", "m"). A field that
+    is annotated by a `data.Quantity` has this as unit, one without annotation its type, an element of a list None."""
     result: list[tuple[str, Any]] = []
     for name, inner, labels, note in _members(of):
         if inner:

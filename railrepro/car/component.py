@@ -51,7 +51,7 @@ def _pairs() -> str:
 
 
 def c_text(*more: ca.Function) -> str:
-    """Write the C source of the car: the functions `more`, then those of the car, then car.c, which calls these."""
+    """Write the C source of the car: functions `more`, then those of the car, then car.c, which calls the car's."""
     return codegen.source_text(more) + _pairs() + codegen.PREAMBLE + codegen.defines(_SIZES) + _SOURCE
 
 
@@ -225,13 +225,13 @@ class SteppedCar:
 
     def inputs(self) -> tuple[np.ndarray, ...]:
         """Return copies of the arguments of the functions of `Car` at the present state: state x, torque commands u,
-        rows of the route and of the contact table, parameters par."""
+        rows with the coefficients of route and contact table at this state, parameters par."""
         self._library.car_look_up(self._pointer)
         rows, contacts = self._arrays["rows"].T, self._arrays["contacts"].T
         return tuple(a.copy() for a in (self.state, self.torque, rows, contacts, self.parameters))
 
     def linearise(self) -> Linearisation:
-        """Linearise the car at the present state and torque commands, with the rows of the tables held constant."""
+        """Linearise the car at the present state and torques, with coefficients of route and contact table fixed."""
         car, inputs = self.model, self.inputs()
         x, u = ca.SX.sym("x", len(car.states)), ca.SX.sym("u", len(equations.WHEELS))
         results = car.rate(x, u, *inputs[2:]), car.output(x, u, *inputs[2:])

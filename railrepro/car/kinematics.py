@@ -49,8 +49,8 @@ def orientation(yaw: ca.SX, pitch: ca.SX, roll: ca.SX) -> ca.SX:
 
 
 class Section:
-    """The track at a coordinate s (m) in a row of the route, as CasADi expressions. Source: eq. (3), with the rotation
-    of eq. (1).
+    """The track at a coordinate s (m), as CasADi expressions; `row` are the coefficients `route.COLUMNS` of the route's
+    interval around s. Source: eq. (3), with the rotation of eq. (1).
 
     Attributes:
         psi, phi, eps (SX): Heading, cant angle and inclination of the track (rad).

@@ -145,9 +145,9 @@ def _is_sealed(target: Path) -> bool:
 
 def build(text: str, portable: bool = False, webassembly: bool = False, triple: str = "") -> Path:
     """Compile a C source text, unless its object is in the cache with its seal, and return the path of the shared
-    object. A `portable` object is for any processor of the architecture, see `flags`. The packaged compiler makes it as
-    a module of `webassembly`, or for another platform, the `triple`, such as "x86_64-windows-gnu". InputError if there
-    is no compiler or no folder, or the compiler refuses the source."""
+    object. A `portable` object is for any processor of the architecture, see `flags`. With `webassembly` it is a
+    WebAssembly module; a `triple`, such as "x86_64-windows-gnu", names another platform. Both need the Python package
+    ziglang. InputError if there is no compiler or no folder, or the compiler refuses the source."""
     if (webassembly or triple) and not found(PACKAGED):
         product = f"shared objects for {triple}" if triple else "modules of WebAssembly"
         raise InputError(f"{product} need `pip install railrepro[compiler]`")

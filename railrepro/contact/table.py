@@ -80,7 +80,7 @@ def _cells(content: bytes) -> np.ndarray:
 
 
 def in_cell(cell: dict, offset) -> dict:
-    """Contact quantities at a shift in a row of `ContactTable.cells`, a dict: name in `CELL_COLUMNS` -> value.
+    """Contact quantities of a wheel from `cell`, a row of `ContactTable.cells` as a dict: `CELL_COLUMNS` -> values.
 
     A wheel that hits its flange may leave the row by several widths in a stage of the integrator. There the effective
     radius and the rolling radius continue along their tangents, and all else is constant. So the effective radius

@@ -46,7 +46,9 @@ class AdhesionMemory:
 
 @table
 class AdhesionSettings:
-    """Parameters of the adhesion law: torque steps, corridor, filter, dead zone. InputError for a wrong value."""
+    """Parameters of the adhesion law. Each ms the base torque rises by `raise_step` if the adhesion is more than
+    `corridor` below its set point, falls by `lower_step` if as much above, and by `drop_step` past the adhesion
+    maximum, which counts only at slip rates above `dead_zone`. If not `active`, it follows the demand."""
 
     raise_step: _STEP = 2.0
     """Increase of the base torque while the adhesion is below the corridor (N m per ms), p1 of the paper."""
@@ -66,12 +68,11 @@ class AdhesionSettings:
     """False: no slip control. The base torque follows the demand by steps of at most `raise_step`."""
 
     def base_torque(self, q: AdhesionInputs, memory: AdhesionMemory) -> tuple:
-        """Compute one cycle (1 ms) of the adhesion law of one running gear, with numbers or CasADi expressions.
-
-        Here adhesion and slip count as positive in the direction of the demand, so f' s' < 0 past the maximum. With the
-        printed sign of s this would mark the stable branch in traction. Returns the base torque per wheel (N m), the
-        next `AdhesionMemory`, and the segment: 1 raise, 2 hold, 3 lower. Source: eqs. (21), (22), (23), (25).
-        """
+        """Compute one cycle (1 ms) of the adhesion law of one running gear, with numbers or CasADi expressions. A wheel
+        is past its adhesion maximum if the rates of its filtered adhesion and slip have opposite signs, f' s' < 0,
+        where f and s count as positive in the direction of the demand. (With the sign of s that the paper prints, this
+        would hold before the maximum in traction.) Returns the base torque per wheel (N m), the next `AdhesionMemory`,
+        and the segment of the law: 1 raise, 2 hold, 3 lower. Source: eqs. (21), (22), (23), (25)."""
         sign = ca.if_else(q.f_star < 0, -1, 1)
         pole = CONTROL_PERIOD / (self.filter_time + CONTROL_PERIOD)
         dead_zone = self.dead_zone * ca.fmax(1, self.noise_speed / ca.fmax(q.v, SLOWEST))

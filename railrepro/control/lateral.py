@@ -134,9 +134,9 @@ class ZeroOrderHold:
 
 
 def split(guidance) -> tuple[LateralLaw, Factory | None]:
-    """Split a guidance into its 1 kHz law and the factory of its slower controllers, None if it has none. An object
-    with a method `torque` is the law, and if it is callable, it is the factory, too. Any other callable is a `Factory`,
-    and the law is `ZeroOrderHold`. InputError for anything else, such as a class in place of its object."""
+    """Split a guidance into its 1 kHz law and the `Factory` that makes its slower controllers, None if it has none. A
+    guidance with a method `torque` is itself the law, and if callable, also the factory. Any other callable is the
+    factory, and the law is `ZeroOrderHold`. InputError for anything else, such as a class in place of its object."""
     if isinstance(guidance, type) and hasattr(guidance, "torque"):
         name = guidance.__name__
         raise InputError(f"guidance {name} is a class, an object of it is needed: {name}(), with its arguments if any")
@@ -167,7 +167,7 @@ def controllers(factory: Factory, vehicle: Vehicle, route: Route) -> tuple:
 
 
 def check_arguments(controller: str, vehicle: Vehicle, route: Route, gear: int) -> None:
-    """InputError, with the name `controller`, unless vehicle, route and gear (0 or 1) are valid for a `Factory`."""
+    """InputError, which names `controller`, unless vehicle, route and gear (0 or 1) are valid to make a controller."""
     require(f"{controller}: vehicle", vehicle, Vehicle)
     require(f"{controller}: route", route, Route)
     require(f"{controller}: gear", gear, between(0, len(GEARS) - 1), whole=True)

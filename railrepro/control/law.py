@@ -187,13 +187,12 @@ def _model(vehicle: Vehicle) -> ModelInputs:
 
 @codegen.stored
 def function(signature: LawSignature) -> ca.Function:
-    """Make the 1 kHz law of both gears, a CasADi function of vectors (SI).
-
-    Inputs: y in the order of `interface.Measured`; rows of the route at the front and the rear gear, shape
-    (len(COLUMNS), 2); held, the last torques of both slower controllers; gains and memory as in `signature`.
-    Outputs: command, motor torques in the order of `WHEELS`; memory_next; record as `signature.record`; margins as
-    `interface.MARGINS`.
-    """
+    """Make the 1 kHz law of both gears, a CasADi function of vectors (SI). Inputs: y, the measured values in the order
+    of `interface.Measured`; rows of the route at the front and the rear gear, shape (len(COLUMNS), 2); held, the last
+    torques of both slower controllers; gains and memory in the order of the fields of `signature.Gains` and
+    `signature.Memory`. Outputs: command, motor torques in the order of `WHEELS`; memory_next; record, the quantities to
+    log, which `signature.record` names; margins, distances to the limits that end a run, in the order of
+    `interface.MARGINS`."""
     y, measured = symbols(interface.Measured, "y")
     gains, gain = symbols(signature.Gains, "gains")
     old, memory = symbols(signature.Memory, "memory")

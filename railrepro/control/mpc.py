@@ -70,7 +70,7 @@ class PredictiveController:
 
     def problem(self, x_hat: np.ndarray, u_d: float) -> Problem:
         """The optimal control `Problem` at a measured state (6,) (SI) and a base torque per wheel (N m), to inspect or
-        compare solvers, without offset observer."""
+        compare solvers. The offset observer does not correct the state here."""
         x_hat, u_d = self._checked(x_hat, u_d if self.settings.informed else 0.0)
         limit = self.vehicle.drive.limit(x_hat[XDOT] / self.vehicle.wheel.radius)
         return Problem(self.settings, x_hat, u_d, self.horizon.forecast(x_hat, u_d), self.parameters, limit)

@@ -18,7 +18,9 @@ from railrepro.data import Quantity, above, between, table
 
 @table
 class NDI:
-    """Lateral law by dynamic inversion, which gives the lateral error linear third-order dynamics with chosen poles."""
+    """Lateral law by dynamic inversion: its torque gives the lateral error linear third-order dynamics with chosen
+    poles, a real one of magnitude `pole` and a pair with natural `frequency` and `damping` ratio. `integral` is a gain
+    of the integrated error, 0: none. With `rates`, the derivatives of the set point are fed forward."""
 
     pole: Annotated[float, above(0.0, 1e4, "rad/s")] = 30.0
     """Magnitude of the real pole of the error dynamics (rad/s)."""
@@ -45,8 +47,7 @@ class NDI:
 
     @staticmethod
     def ranges() -> dict[str, Quantity]:
-        """Permitted range of each gain by name, for an exported controller. It follows from the ranges of the
-        fields."""
+        """Permitted range of each gain by name, for an exported controller, from the ranges of the fields."""
         most = NDI(1e4, 1e4, 1e4, 1e4, rates=True).gains()
         return {name: (between if name in ("ki", "ff") else above)(0.0, most[name], "") for name in most}
 

@@ -49,25 +49,27 @@ class Tuning(NamedTuple):
 
 
 def stage_cost(x, x_d, slack, t: Tuning):
-    """Cost (s) of a state x (6,) before the last one, without the torque. x_d (6,) is the desired state and `slack` (m)
-    the excess over the lateral bound. Source: eq. (31)."""
+    """Cost of a state x (6,) before the last one, without the torque: weighted squares of its deviations from the
+    desired state x_d (6,) and of the excess `slack` (m) over the lateral bound, times the time step T. As the weights
+    cancel the units of the squares, the cost is in s. Source: eq. (31)."""
     return ca.dot(t.q * t.period, (x - x_d) ** 2) + slack_cost(slack, t)
 
 
 def terminal_cost(x, x_d, slack, t: Tuning):
-    """Cost (s) of the last state x (6,) with desired state x_d (6,) and excess `slack` (m) over the lateral bound. Only
-    y and psi_TrAx count. Source: eq. (32)."""
+    """Cost (s) of the last state x (6,): weighted squares of the deviations of y and psi_TrAx from x_d (6,), the
+    desired state, and of the excess `slack` (m) over the lateral bound, times the time step. Source: eq. (32)."""
     weighted = [t.q[i] * t.period * t.q_terminal * (x[i] - x_d[i]) ** 2 for i in (Y, PSI_TRAX)]
     return sum(weighted) + slack_cost(slack, t)
 
 
 def effort_cost(du, t: Tuning):
-    """Cost (s) of a differential torque `du` (N m) over one time step. Source: eq. (31)."""
+    """Cost r T du^2 (s) of a differential torque du (N m) over a time step T; r is in 1/(N m)^2. Source: eq. (31)."""
     return t.r * t.period * du**2
 
 
 def slack_cost(slack, t: Tuning):
-    """Cost (s) of an excess of `slack` (m) over the lateral bound at one state."""
+    """Cost bound_weight q_y slack^2 T (s) of an excess of `slack` (m) over the lateral bound at one state, with the
+    weight q_y (1/m^2) of y, the time step T (s). A square in place of a hard limit keeps every problem feasible."""
     return t.bound_weight * t.q[Y] * t.period * slack**2
 
 
@@ -77,18 +79,17 @@ def lateral_excess(x, t: Tuning) -> tuple:
 
 
 def slack_on(side, x, t: Tuning):
-    """Excess (m) of y over the active lateral bound at a state x (6,): `side` is 1 (upper), -1 (lower) or 0 (none)."""
+    """Excess (m) of y over one lateral bound at a state x (6,). `side` is 1: upper, -1: lower, 0: none, result 0."""
     return side * (x[Y] - side * t.lateral_bound)
 
 
 @stored
 def dynamics(variant: str, discretisation: str) -> ca.Function:
-    """Make one time step of the prediction model as a CasADi function (SI). Its arguments are as in `MPCSettings`.
-
-    It maps (state x[6], differential torque du, base torque u_d, theta[9], par[14], step T, affine) to the next state
-    x_next[6], its derivative A by x, sparse (6, 6), and its derivative B by du [6]. With affine = 1, x_next is the next
-    state of the model. With affine = 0 it is A x + B u, the printed linear model without affine term (D6).
-    """
+    """Make one time step T of the prediction model as a CasADi function (SI), for a `variant` of the model and an
+    integration method `discretisation` as in `MPCSettings`. It maps (state x[6], differential torque du, base torque
+    u_d, track theta[9], vehicle data par[14], T, affine) to the next state x_next[6] and its derivatives A by x, sparse
+    (6, 6), and B by du [6]. With affine = 1, x_next is that of the model. With affine = 0 it is A x plus each torque,
+    du and u_d, times its derivative: the printed linear model without affine term (erratum D6)."""
     step = discretise(control_model(variant), discretisation)
     x, du, u_d, affine = ca.SX.sym("x", len(STATES)), ca.SX.sym("du"), ca.SX.sym("u_d"), ca.SX.sym("affine")
     theta, par, period = ca.SX.sym("theta", len(THETA)), ca.SX.sym("par", len(PARAMETERS)), ca.SX.sym("T")
@@ -114,7 +115,9 @@ def torque_limit() -> ca.Function:
 
 @table
 class MPCSettings:
-    """Settings of a predictive controller: weights, horizon, prediction model, bounds. InputError if one is invalid."""
+    """Settings of a predictive controller: weights, horizon, prediction model, soft bound of |y|. With `yielding`, |du|
+    may use the whole motor torque, else only what the base torque leaves. With `informed`, the forecast knows the base
+    torque, else it assumes 0. `observer` is the gain of an observer of the creep angle (-), 0: none."""
 
     q_diag: tuple[Any, ...] = (0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
     """Diagonal of Q: weights of the six states (1/m^2, 1/rad^2, s^2/m^2, s^2/rad^2, 1/m^2, 1/rad^2)."""
@@ -171,6 +174,5 @@ class Problem:
 
     @property
     def bound(self) -> float:
-        """Largest |du| (N m): the motor's limit, or without `yielding` what the base torque leaves. Source: eq.
-        (31)."""
+        """Largest |du| (N m): the motor's limit; without `yielding` what the base torque leaves of it, eq. (31)."""
         return self.tau_max if self.settings.yielding else max(self.tau_max - abs(self.u_d), 0.0)

@@ -58,8 +58,8 @@ def mpc_settings(parameters: dict) -> MPCSettings:
 
 @dataclass(frozen=True)
 class Predictive:
-    """Factory of predictive controllers: called with vehicle, route and gear (0 front, 1 rear), it makes one of the
-    given class. Both gears have the same settings."""
+    """Factory of predictive controllers: called with vehicle, route and gear (0 front, 1 rear), it makes an object of
+    the class `controller` with the same `settings` for both gears and further arguments `options`."""
 
     controller: type
     settings: MPCSettings
@@ -162,9 +162,9 @@ def read(controller: str, setting: str = PAPER, folder: Path | None = None) -> d
 
 
 def tuned_set(controller: str, setting: str = PAPER) -> dict:
-    """Tuned parameters of a controller with their origin, a dict as from `read`. What data/tuning.toml gives in the
-    table "designed" of the setting takes precedence over the file. InputError for an unknown setting, or without
-    parameters."""
+    """Tuned parameters of a controller, a dict with at least the keys "controller", "setting" and "parameters". They
+    are from the table "designed" of the setting in data/tuning.toml if it has the controller, else from the file, see
+    `read`. InputError for an unknown setting, or without parameters."""
     require("controller", controller, str)
     require("setting", setting, str)
     if setting not in SETTINGS:

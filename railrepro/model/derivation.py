@@ -46,8 +46,8 @@ def time_derivative(expression: sp.Expr, rate_of_rates: dict) -> sp.Expr:
 
 
 def constraints(discrepancies: frozenset[str]) -> dict[sp.Symbol, sp.Expr]:
-    """Constraints of lateral kinematics and ideal rolling: a dict from yd (m/s), thd_ri and thd_le (rad/s) to their
-    expressions in the free rates xd and psid. Source: eqs. (9), (12)."""
+    """Constraints of lateral kinematics and ideal rolling, with the errata to keep: a dict from the dependent rates yd
+    (m/s), thd_ri and thd_le (rad/s) to expressions in the free rates xd and psid. Source: eqs. (9), (12)."""
     turning = psid + kappa * xd if "D3" in discrepancies else psid
     spin_ri = -(xd - arm["ri"] * turning) / radius["ri"]
     spin_le = -(xd + arm["le"] * turning) / radius["le"]
@@ -61,7 +61,7 @@ def wheel_rotation(spin: sp.Expr) -> sp.Matrix:
 
 
 def kinetic_energy(discrepancies: frozenset[str]) -> sp.Expr:
-    """Kinetic energy (J) as an expression of all five rates. Source: eq. (13a)."""
+    """Kinetic energy (J) in terms of all `rates`, with the errata to keep, such as "D2". Source: eq. (13a)."""
     height_rate = sp.diff(height, psi) * (psid - kappa * xd) + sp.diff(height, y) * yd
     inertia = sp.diag(J_Wz, J_Wy, J_Wz)
     w_ri, w_le = wheel_rotation(thd_ri), wheel_rotation(thd_le)
@@ -74,19 +74,19 @@ def kinetic_energy(discrepancies: frozenset[str]) -> sp.Expr:
 
 
 def potential_energy(discrepancies: frozenset[str]) -> sp.Expr:
-    """Potential energy (J) of springs and weight. Source: eq. (13b)."""
+    """Potential energy (J) of springs and weight, with the errata to keep, such as "D7". Source: eq. (13b)."""
     deflection = roll if "D7" in discrepancies else roll - phi_Tr
     return (k_sz * (psi - psi_CB) ** 2 + k_sx * deflection**2) / 2 - m * g * height
 
 
 def dissipation(discrepancies: frozenset[str]) -> sp.Expr:
-    """Rayleigh dissipation function (W), half the power lost in the dampers. Source: eq. (13c)."""
+    """Rayleigh dissipation (W), half the power lost in dampers, with the errata to keep. Source: eq. (13c)."""
     deflection_rate = roll_rate if "D7" in discrepancies else -gamma * yd
     return (k_dz * (psid - kappa_CB * xd) ** 2 + k_dx * deflection_rate**2) / 2
 
 
 def generalised_forces() -> tuple[sp.Expr, sp.Expr]:
-    """Force along x (N) and moment about z (N m) of traction-positive motor torques. Source: eq. (17), other sign."""
+    """Force along x (N) and moment about z (N m) of motor torques, positive in traction, unlike in eq. (17)."""
     pull = {"ri": tau_ri / radius["ri"], "le": tau_le / radius["le"]}
     return pull["ri"] + pull["le"], arm["le"] * pull["le"] - arm["ri"] * pull["ri"]
 

@@ -25,7 +25,7 @@ def recursion(variant: str, discretisation: str) -> tuple[ca.Function, ca.Functi
     - A, B, tuning: derivatives from `problem.dynamics`, tuning vector in the order of `problem.TUNING`;
     - side: active lateral bound, 1 (upper), -1 (lower) or 0 (none);
     - fixed, to_bound: du is to_bound (N m) if fixed is not 0, else feedback' dx + feed-forward;
-    - terms[4]: Hessian and gradient by the torque and by y that represent the bounds in the interior point method.
+    - terms[4]: what the interior point method adds to half the second and first derivative by the torque, then y.
 
     Returns:
         terminal: (x[6], x_d[6], side, terms, tuning) -> P (6, 6), p[6] of the last stage.
