@@ -132,7 +132,7 @@ def lateral_filter(vehicle: Vehicle, loop: Loop, speed: float) -> tuple[np.ndarr
 @lru_cache(maxsize=16)
 def stationary_gains(vehicle: Vehicle, loop: Loop) -> FilterGains:
     """Design the Kalman filters of a running gear and its wheels for the noise and delays of the sensors in `loop`;
-    their models have the parameters of `vehicle`. Returns the gains, for the yaw filter over the speed."""
+    their models have the parameters of `vehicle`. Returns the gains, those of the lateral filter by speed."""
     rates = loop.filter
     inertia, radius = vehicle.wheel.spin_inertia, vehicle.wheel.radius
     at_speeds = np.array([lateral_filter(vehicle, loop, speed)[0] for speed in SPEEDS])
@@ -159,7 +159,7 @@ def observe(
     `commands` has two lists, torques sent to the left and the right wheel before this cycle (N m), newest first.
     `track` has curvature and angles of the track at the gear (`lateral.TrackInputs`), `gain` the gains of law and
     filters, `sensor` the delays. `ticks` counts control cycles from the start; at 0 the readings set the states.
-    `memory` are states as of the readings.
+    `memory` are states that `advance` predicted in the previous cycle for the time of the readings.
     """
     planes = readings.y_ahead, readings.y_behind
     read = sum(planes) / 2, (planes[0] - planes[1]) / sensor.base, readings.psidot_Ax
@@ -189,8 +189,8 @@ def observe(
 
 
 def advance(x: FilterState, commands: Sequence[list], track: Any, sensor: SensorGains, gain: Any) -> FilterState:
-    """Predict `x`, the corrected `FilterState` of `observe`, by one control cycle. The other arguments are as in
-    `observe`, but `commands` include the torques of this cycle."""
+    """Predict `x`, the corrected `FilterState` of `observe`, by a control cycle; the result is `memory` of the next
+    `observe`. Of the arguments, as in `observe`, only `commands` differ: they begin with the torques of this cycle."""
     h, model = CONTROL_PERIOD, gain.model
 
     def wheel(state: WheelState, line: list) -> WheelState:

@@ -138,7 +138,8 @@ class Filter:
 
 @data.table
 class Adhesion:
-    """Settings of the adhesion law (slip control) that suit noisy readings, in place of its defaults for exact ones."""
+    """Settings of the adhesion law (slip control) for noisy readings: lag of its low-pass filters; slip rate below
+    which no wheel counts as past its adhesion maximum (dead zone); speed below which the dead zone grows as 1/v."""
 
     filter_time: Annotated[float, _upto(1.0, "s")]
     dead_zone: Annotated[float, _upto(10.0, "1/s")]
@@ -166,7 +167,7 @@ class Loop:
             raise ValueError(f"latency of {1e3 * total:g} ms in all, at most {LONGEST} ms are allowed")
 
     def perfect(self) -> Self:
-        """Copy with exact readings without latency and the adhesion law's settings for them; inverter errors stay."""
+        """Copy with exact readings, no latency and the adhesion law's settings for exact readings; same inverters."""
         exact = {sensor: replace(getattr(self, sensor), noise=0.0, bias=0.0, resolution=0.0) for sensor in _SENSORS}
         return replace(self, **exact, latency=Latency(0.0, 0.0), adhesion=Adhesion(5e-3, 1e-3, 0.0))
 
@@ -213,8 +214,8 @@ class SensorGains:
 
 
 def quality_ranges() -> dict[str, data.Quantity]:
-    """Return the permitted range of each sensor error as a dict by its name, such as "y_ahead.noise" (for exported
-    controllers)."""
+    """Return the permitted ranges of sensor errors, for exported controllers: a dict from signal and error, such as
+    "y_ahead.noise" (fields of `Signals` and `Quality`), to a `data.Quantity`."""
     return {
         f"{signal}.{error}": replace(_RANGES[f"{sensor}.{error}"], signed=error == "bias")
         for signal, sensor in zip(SIGNALS, _SENSORS, strict=True)

@@ -50,8 +50,8 @@ class Variable:
 
 
 def variable(name: str, value: float, note: Any = None) -> Variable:
-    """Make a `Variable` from its name, its value and a `note`: its unit, or a `data.Quantity` with unit and range. A
-    range without 0 that permits either sign is reduced to the sign of `value`."""
+    """Make a `Variable` from its name, its value and a `note`: its unit, or a `data.Quantity` with unit and range. If
+    the range permits magnitudes above a bound with either sign, the variable may only have the sign of `value`."""
     note = between(0.0, 1.0) if note is bool else note
     if not isinstance(note, Quantity):
         return Variable(name, float(value), note if isinstance(note, str) else "")
@@ -64,8 +64,8 @@ def variable(name: str, value: float, note: Any = None) -> Variable:
 
 
 def variables(of: type, values: Iterable[float], ranges: Mapping[str, Quantity] | None = None) -> list[Variable]:
-    """Make the `variable` of each entry of a dataclass of quantities from its value (SI). The entry of `ranges` with
-    its name, if there is one, replaces its note."""
+    """Make a `Variable` for each quantity in the dataclass `of`, such as "body.mass", from its value (SI) and its
+    annotation, a unit or a `data.Quantity`. `ranges`, name -> `data.Quantity`, has precedence over annotations."""
     noted = [(name, (ranges or {}).get(name, note)) for name, note in notes(of)]
     return [variable(name, value, note) for (name, note), value in zip(noted, values, strict=True)]
 
@@ -93,7 +93,8 @@ def constant(name: str, values: np.ndarray) -> str:
 
 @dataclass(frozen=True)
 class Fmu:
-    """Content of the FMU of a car or a controller. Outputs, inputs and parameters are in the order of the C arrays."""
+    """Content of the FMU of a car or a controller: outputs, inputs and parameters in the order of the C arrays; `text`,
+    the C source; `counter`, name of the integer output FMU_COUNT, () for none."""
 
     name: str
     description: str
@@ -104,7 +105,6 @@ class Fmu:
     """C source with call.h, generated functions and `numbers_text`. It defines the type fmu_t, its members FMU_INPUTS,
     FMU_OUTPUTS and FMU_PARAMETERS, the macro FMU_COUNT and the functions reset, begin and advance."""
     counter: tuple[str, ...] = ()
-    """Name of the integer output, FMU_COUNT, if there is one."""
 
     def write(self, path: Path | str, platforms: Sequence[str] | None = None) -> Path:
         """Compile the source, write the .fmu file and return its path. `platforms` are keys of `PLATFORMS`, such as

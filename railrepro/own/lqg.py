@@ -115,9 +115,10 @@ class Design:
         return gain, covariance, smoother
 
     def regulator(self) -> tuple[np.ndarray, np.ndarray]:
-        """Design the regulator, whose output is the change of the torque from one ms to the next (N m). Returns its
-        gains: (10 + sent,) for x and then the torques sent, latest first; (points, 8) for the 7 known inputs and the
-        set point, at points of the preview `TAP` apart."""
+        """Design the LQ regulator: it sets the change d of the torque per ms (N m) and minimises, summed over all ms,
+        y^2 + turn^2 speed / (100 m/s) r^2 + change d^2 (m2): displacement y over the rails minus set point (m,
+        unscaled), yaw rate r, weights of `LqgPreview`. Returns gains of d: (10 + sent,) for x, then the torques sent,
+        latest first; (points, 8) for the 7 known inputs and the set point, at points of the preview `TAP` apart."""
         n, h = _MODEL + self.sent, CONTROL_PERIOD
         a, b, error = np.zeros((n, n)), np.zeros(n), np.zeros(n)
         a[:_MODEL, :_MODEL], a[_MODEL, _MODEL], b[_MODEL] = self.a, 1.0, 1.0
@@ -217,8 +218,8 @@ class LqgGear:
         self.vehicle, self.route, self.gear, self.settings = vehicle, route, gear, settings
 
     def compiled(self, loop: Loop | None, leader: object = None) -> tuple[int, int]:
-        """Make the controller; returns the addresses of its C function and memory, which `ClosedLoop.connect` takes.
-        The rear gear gets the rails that its `leader`, the front gear, estimates if it is an `LqgGear`, too."""
+        """Make the controller; returns the addresses of its C function and memory for `ClosedLoop.connect`. `loop`
+        None: exact readings. A rear gear gets the rails that its `leader`, a front `LqgGear`, estimates."""
         (delay, table), vehicle, cells = designs(self.vehicle, self.settings, loop), self.vehicle, self.route.cells
         acceleration, partner, _ = nominal_values(vehicle, self.gear)
         self.sizes = delay, round(self.settings.preview / TAP) + 1
@@ -257,10 +258,11 @@ class LqgGear:
 
 @table
 class LqgPreview:
-    """Factory of LQG controllers with preview, as `guidance` of `simulate.run`. Fields: weights of torque change and
-    yaw rate (`change`, `turn`); random walks of unknown `force` and `moment`, noise of the torque rate (`twist`);
-    amplitude of the `rails`; times (s) of bias drift (`settle`), of forgetting (`memory`) and of `preview`. Notebook
-    `12_lqg` derives them."""
+    """Factory of LQG controllers with preview, as `guidance` of `simulate.run`. The weights of the regulator, `change`
+    of squared torque change per ms and `turn` of the yaw rate at 100 m/s, are relative to y in metres. The Kalman
+    filters assume random walks of unknown side `force` and yaw `moment` (standard deviations after 1 s), noise `twist`
+    of the torque rate and an amplitude of the spectrum of rough `rails`. Times (s): drift of biases (`settle`),
+    forgetting of old readings (`memory`), length of the `preview`. Notebook `12_lqg` derives the values."""
 
     change: Annotated[float, between(1e-13, 1e-3, "m2/(N m)2")] = 8e-10
     """Weight rho of the squared change of torque per millisecond, relative to that of y (m2/(N m)2)."""

@@ -14,14 +14,13 @@ from railrepro.simulation import metrics
 
 
 class Panel(NamedTuple):
-    """Quantities of one running gear in a panel, by their names in `metrics.column`; the right wheel comes first."""
+    """Panel of a plot: `label`; names of the quantities of a gear in it, as in `metrics.column`, the right wheel first;
+    `factor` from SI units to the unit of the label; `reference`, name of the set point, "" for none."""
 
     label: str
     columns: tuple[str, ...]
     factor: float
-    """Factor from SI units to the unit of the label."""
     reference: str = ""
-    """Set point; "" for none."""
 
 
 PANELS = {
@@ -48,8 +47,9 @@ def chosen(names: Sequence[str]) -> list[Panel]:
 
 
 def draw(axes: Sequence[Axes], panels: Sequence[Panel], series: pd.DataFrame, look: Mapping, gear: str) -> None:
-    """Draw the quantities of each of `panels` over the track coordinate (m) into one of `axes`; the left wheel is
-    paler. `series` is a table of `metrics.gear_series` for this `gear`; `look` has keyword arguments of `Axes.plot`."""
+    """Draw one run over the track coordinate (m) into existing axes: the first of `panels` into the first of `axes`,
+    and so on; the left wheel is paler. `series` is the table of the run from `metrics.gear_series` for `gear`, "front"
+    or "rear"; `look` has keyword arguments of `Axes.plot`, such as color."""
     p = series[metrics.column(gear, "p")]
     for axis, (_, (first, *second), factor, _) in zip(axes, panels, strict=True):
         for column in second:
@@ -58,7 +58,8 @@ def draw(axes: Sequence[Axes], panels: Sequence[Panel], series: pd.DataFrame, lo
 
 
 def draw_set_points(axes: Sequence[Axes], panels: Sequence[Panel], series: pd.DataFrame, gear: str) -> None:
-    """Draw the set points of a run, such as y* in the panel of y, into its panels; the arguments are as in `draw`."""
+    """Draw the set point of each of `panels` that has one, such as y* for y, into its axes. `series` is the table of
+    one run from `metrics.gear_series` for `gear`; the first of `panels` belongs to the first of `axes`, and so on."""
     for axis, panel in zip(axes, panels, strict=True):
         if panel.reference:
             y = panel.factor * series[metrics.column(gear, panel.reference)]
@@ -66,7 +67,7 @@ def draw_set_points(axes: Sequence[Axes], panels: Sequence[Panel], series: pd.Da
 
 
 def name_axes(figure: Figure, axes: np.ndarray, panels: Sequence[Panel]) -> None:
-    """Label the array `axes` (rows, columns), whose first rows show `panels`, and give the figure a legend."""
+    """Label `axes`, shape (rows, columns), whose first rows show one of `panels` each; add a legend to the figure."""
     for row, panel in zip(axes, panels, strict=False):
         row[0].set_ylabel(panel.label)
     for axis in axes[len(panels) - 1]:
@@ -75,7 +76,7 @@ def name_axes(figure: Figure, axes: np.ndarray, panels: Sequence[Panel]) -> None
 
 
 def figure_of(series: pd.DataFrame, names: Sequence[str], gear: str) -> Figure:
-    """Draw `simulate.Run.series` in a new figure with a row per panel, a key of `PANELS` ("y", "error", "du", …)."""
+    """Draw a gear of a run, whose table is `series`, in a new figure; `names` are keys of `PANELS`, one per row."""
     panels, rows = chosen(names), metrics.gear_series(series, gear)
     figure, axes = figures.new_figure(len(panels), sharex=True, squeeze=False)
     draw(axes[:, 0], panels, rows, {"color": figures.BLUE, "label": f"{gear} running gear"}, gear)

@@ -91,14 +91,14 @@ def rail_forces(normal, creep, angle, side: str, roll) -> tuple[np.ndarray, np.n
 
 
 def low_pass(values, rate: float) -> np.ndarray:
-    """Filter `values` by a low-pass without phase shift. A Butterworth filter of second order, run forwards
-    and backwards, has -3 dB at 20 Hz in all, then 24 dB per octave. Source: EN 14363 (cut-off read, slope recalled)."""
+    """Filter `values`, sampled at `rate` (Hz), without phase shift: by a Butterworth filter of second order, forwards
+    and backwards, in all -3 dB at 20 Hz, then 24 dB per octave. Source: EN 14363 (cut-off read, slope recalled)."""
     single = FORCE_CUTOFF / (np.sqrt(2) - 1) ** 0.25
     return scipy.signal.sosfiltfilt(scipy.signal.butter(2, single, fs=rate, output="sos"), values)
 
 
 def sliding_mean(values, p) -> np.ndarray:
-    """Average `values` over windows of 2 m, which start every 0.5 m: shape (windows,). InputError for a shorter run."""
+    """Average `values` at positions p (m) in windows of 2 m, one per 0.5 m. InputError if p extends less than 2 m."""
     p = np.maximum.accumulate(np.asarray(p, dtype=float))  # a car that has come to a stand rolls back a little
     last = p[-1] - p[0] - WINDOW
     if last < 0:
@@ -109,8 +109,8 @@ def sliding_mean(values, p) -> np.ndarray:
 
 
 def flange_contacts(angle, p) -> float:
-    """Count the flange contacts of a wheel per distance (1/km): stretches with a contact angle (rad) above 30 degrees.
-    Stretches less than 1 m apart count as one contact."""
+    """Count the flange contacts of a wheel per distance (1/km): stretches of positions p (m) with a contact `angle`
+    (rad) of more than 30 degrees. Stretches less than 1 m apart count as one contact."""
     p = np.asarray(p, dtype=float)
     edges = np.diff((np.abs(angle) > FLANGE_ANGLE).astype(int), prepend=0, append=0)
     starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
@@ -121,8 +121,7 @@ def flange_contacts(angle, p) -> float:
 def creep_work(series: pd.DataFrame) -> dict[str, float]:
     """Compute the energy lost to creep per metre (J/m = N), mean over distance and wheels, from creep forces and
     creepages in `simulate.Run.series`. Keys of the dict: "t_gamma", the wear number, without spin; "creep_work" with
-    the spin moment, which does much of the work on an inclined contact, as of S1002. Source: Elkins and Eickhoff 1982
-    (recalled)."""
+    the spin moment, which does much of the work on an inclined contact. Source: Elkins and Eickhoff 1982 (recalled)."""
     lost = []
     for name, (gear, _) in GEAR_AND_SIDE.items():
         wheel, lengths = Part(series, name), np.gradient(Part(series, gear).p)

@@ -115,8 +115,7 @@ class Scenario:
 
     @property
     def poor_shares(self) -> tuple[tuple, tuple]:
-        """Points (p (m), share of the poor adhesion set (0 to 1)) for the left and for the right rail: a pair of
-        tuples."""
+        """Points (p (m), share of the poor adhesion set (0 to 1)) for the left and for the right rail: a pair."""
         both = self.poor_share or ((0.0, 0.0),)
         return self.poor_share_left or both, self.poor_share_right or both
 

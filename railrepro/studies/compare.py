@@ -53,7 +53,8 @@ class Comparison:
         return result if factor == 1.0 else factor * result
 
     def table(self, *quantities: str) -> pd.DataFrame:
-        """Table with a row per run (index `labels`) and a column per quantity, each as in `comparison[quantity]`."""
+        """Table with a row per run (index `labels`) and a column per name in `quantities`: "rmse_mm", "delay_m",
+        "effort_Nm", … (`QUANTITIES`), in the unit of the name, or a column of `rows` (SI)."""
         return pd.DataFrame({name: self[name] for name in quantities})
 
     def data(self, *panels: str) -> pd.DataFrame:
@@ -88,8 +89,8 @@ class Comparison:
         return figure
 
     def draw(self, axes: Sequence[Axes], panels: Sequence[str], series: pd.DataFrame) -> None:
-        """Draw rows of `self.series` over the track coordinate (m) into existing `axes`, one for each of `panels`
-        (names). The left wheel is paler than the right one."""
+        """Draw runs over the track coordinate (m) into existing `axes`, one for each of `panels` ("y", "du", …). Drawn
+        are the runs in the argument `series`: the attribute `series`, or rows of it. The left wheel is paler."""
         chosen = plot.chosen(panels)
         labels = [name for name in self.labels if name == "controller" or series[name].nunique() > 1] or ["controller"]
         drawn: list[str] = []

@@ -128,7 +128,7 @@ def _pools(apart: bool) -> Iterator[list[futures.Executor]]:
 def ordered_map(task: Callable, arguments: Sequence, title: str, quiet: bool = False, apart: bool = False) -> list:
     """Call `task` with each of `arguments` in parallel; returns the results in the order of the arguments.
 
-    Each call runs in a thread, and what it hands to `work` in a process of `executor`. With up to 4 arguments, or one
+    Each call runs in a thread; what it calls by `work` runs in a process of `executor`. With up to 4 arguments, or one
     process, all is computed in this process. With `apart` each thread has a local process of its own, which ends with
     the study: for code that may end its process or never return. `title` names the progress bar, `quiet` leaves it out.
     A task must not call `ordered_map`. InputError when a process ended or imported another version of railrepro.

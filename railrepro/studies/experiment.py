@@ -114,9 +114,9 @@ class Experiment:
         return _shared(packed, tuple((str(file), code.signature(file)) for file in files))
 
     def key(self, measure: "Measure") -> str | None:
-        """Hash under which `store` has the result of `measure` for this run (see `measured`). It depends on the code
-        and on all values of vehicle, tuning parameters, track and sensors, not on names and labels. None for a
-        controller from a user's file, whose results are not stored."""
+        """Hash under which `store` keeps what the function `measure` returns for this run (see `measured`). It depends
+        on the code and on all values of vehicle, tuning parameters, track and sensors, not on names and labels. None
+        for a controller from a user's file, whose results are not stored."""
         if not _is_ours(self.controller):
             return None
         around = self._surroundings().digest

@@ -31,7 +31,7 @@ class World:
         return Experiment(scenario, self.driver(controller), **given)
 
     def driver(self, controller: str) -> str:
-        """Key of `registry.CONTROLLERS`, such as "nmpc", of the controller that this world calls `controller`."""
+        """Key of `registry.CONTROLLERS` for the name of a controller here: the same, unless a subclass changes it."""
         return controller
 
     def car(self) -> Vehicle:

@@ -27,8 +27,7 @@ class Dip:
     kind: Literal["dip"] = "dip"
 
     def channels(self, p: np.ndarray) -> dict[str, np.ndarray]:
-        """Change of the irregularities by the dip at track coordinates p (m): a dict with vertical_m and
-        crosslevel_rad."""
+        """Change of irregularities by the dip at track coordinates p (m): dict of vertical_m and crosslevel_rad."""
         shape = _versine(p, self.start, self.length, self.depth)
         left, right = (shape * (self.rail in ("both", side)) for side in ("le", "ri"))
         return {"vertical_m": (right + left) / 2, "crosslevel_rad": (right - left) / (2 * HALF_BASE)}
@@ -66,8 +65,7 @@ class LateralOffset:
             raise ValueError(f"is {self.length:g} m long, at least two transitions of {self.transition:g} m are needed")
 
     def channels(self, p: np.ndarray) -> dict[str, np.ndarray]:
-        """Change of lateral_m, the only column of irregularities that the offset changes, at track coordinates p
-        (m)."""
+        """Change of lateral_m, the only column of irregularities that the offset changes, at coordinates p (m)."""
         to_nearest_end = np.minimum(p - self.start, self.start + self.length - p)
         return {"lateral_m": self.offset * smooth_step(to_nearest_end / self.transition)}
 

@@ -15,9 +15,9 @@ from railrepro.tuning.task import Task
 
 def driven(run: simulate.Run, experiment: Experiment) -> store.Entry:
     """Compute the metrics of a run that `run_cost` needs; a function for `Experiment.measured`. Returns a pair (dict,
-    None). Means over both running gears: rmse_y (m), effort_du (RMS of du, N m), activity_du (RMS of du above 5 Hz, N
-    m; NaN in a failed run). failed: whether the run failed or a wheel touched its flange; done: fraction of the
-    distance before that. With imperfect sensors rmse_y counts from the rails, otherwise from the track."""
+    None). Means over both gears: rmse_y (RMS of y - y*, m), effort_du (RMS of du, N m), activity_du (RMS of du above 5
+    Hz, N m; NaN in a failed run). failed: whether the run failed or a wheel touched its flange; done: fraction of the
+    distance before that. With imperfect sensors y counts from the irregular rails, otherwise from the ideal track."""
     sensed = bool(experiment.sensors) and not experiment.sensors.get("perfect", False)
 
     def mean(metric):
@@ -39,7 +39,7 @@ def run_cost(parts: dict, cost: dict) -> float:
 
     1e3 rmse_y / y_scale_mm + weight effort_du / du_scale_Nm + activity_weight max(activity_du / activity_Nm - 1, 0), or
     failure (2 - done) for a failed run. rmse_y is the lateral error, effort_du the differential torque, activity_du
-    that above 5 Hz, done the fraction of the distance before the failure.
+    its part above 5 Hz, done the fraction of the distance before the failure.
     """
     if parts["failed"]:
         return cost["failure"] * (2 - parts["done"])
@@ -49,8 +49,8 @@ def run_cost(parts: dict, cost: dict) -> float:
 
 
 def missed(controller: str, task: Task, parameters: dict, speeds_kmh: Sequence[float]) -> float:
-    """Penalty (-) for a parameter set whose disk margin is below the least margin of the task at one of the speeds,
-    checked in their order; 0 if it is at none."""
+    """Cost (-) of a parameter set that misses the least disk margin of the task, failure (2 - margin / least), at the
+    first such speed of `speeds_kmh`; 0 if it keeps the margin at all of them."""
     least = task.margin["least"]
     smallest = margin.smallest(controller, parameters, speeds_kmh, least, task.sensed)
     return task.cost["failure"] * (2 - smallest / least) if smallest < least else 0.0
@@ -61,7 +61,7 @@ def evaluate(controller: str, task: Task, parameters: dict, limit: float = np.in
 
     runs is a list of dicts, the last run of the task first, with the keys run (name), cost and the metrics of `driven`.
     Once the mean exceeds `limit`, the remaining runs are left out and count as zero: the cost is then a lower bound. A
-    set without the margin has the cost of `missed`; at the first speed, the tightest, it is measured before the runs.
+    set below the least disk margin has the cost of `missed`; the first, tightest speed is checked before all runs.
     """
     quick, number = CONTROLLERS[controller].quick, len(task.runs)
     tightest, others = task.margin["speeds_kmh"][:1], task.margin["speeds_kmh"][1:]

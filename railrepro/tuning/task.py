@@ -26,13 +26,12 @@ class Task:
 
     Attributes:
         setting: "paper" (exact measurements) or "loop" (sensors with noise and delays).
-        budget, cost, margin: Size of the search, scales of the cost, least disk margin: keys of `Budget`, `Cost`,
-            `Margin`.
+        budget, cost, margin: Size of search, scales of cost, least disk margin: keys of `Budget`, `Cost`, `Margin`.
         runs: Name -> run without a controller. The cost is the mean over these runs; the last one is the hardest.
         dimensions: Controller -> parameters that its swarms search, with bounds.
         designed: Controller -> tuning parameters chosen by hand, name -> value.
         start: Controller -> tuning parameters at which the first particle of each swarm begins.
-        rule: NDI controller whose poles are as fast as the margin permits (`tune.by_rule`) -> its other parameters.
+        rule: NDI controller whose poles `tune.by_rule` sets, as fast as the margin permits -> its other parameters.
         sensed: Whether the controllers have sensors.
     """
 
@@ -108,7 +107,7 @@ class RunEntry:
 @data.table
 class SettingEntry:
     """One setting of data/tuning.toml: sensors or not, names of its runs, and dicts controller -> parameter -> value:
-    `designed` by hand; fixed where a `rule` sets the poles by the margin; `start`, a swarm's first particle."""
+    `designed`, by hand; `rule`, parameters other than the poles, which the margin sets; `start`, first particle."""
 
     sensors: StrictBool
     runs: Annotated[tuple[str, ...], NOT_EMPTY]
