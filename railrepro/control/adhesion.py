@@ -48,7 +48,7 @@ class AdhesionMemory:
 class AdhesionSettings:
     """Parameters of the adhesion law. Each ms the base torque rises by `raise_step` if the adhesion is more than
     `corridor` below its set point, falls by `lower_step` if as much above, and by `drop_step` past the adhesion
-    maximum, which counts only at slip rates above `dead_zone`. If not `active`, it follows the demand."""
+    maximum, which counts only at slip rates above `dead_zone`. Not `active`, the law passes the demanded torque."""
 
     raise_step: _STEP = 2.0
     """Increase of the base torque while the adhesion is below the corridor (N m per ms), p1 of the paper."""

@@ -334,10 +334,10 @@ def _sums(rows: pd.DataFrame) -> dict[str, float]:
 def ranking(cards: pd.DataFrame) -> pd.DataFrame:
     """Rank controllers by their `card` tables, one below the other: one row per controller, the best first.
 
-    All values are means over seeds, without that for development (`PUBLISHED`). Columns: ranked, score over both
-    settings; spread, standard deviation of ranked between seeds; paper and loop, score per setting; margins (all 0 to
-    100); "runs failed", number per seed; with sensors "error (mm), loop", "limit (mm), loop" and "torque (N m), loop"
-    (RMS).
+    Values are means over five seeds; the published seed for development is left out. Points from 0 to 100, more is
+    better: ranked, both settings; paper and loop, each of them; margins, the runs with more delay or lag. Also spread,
+    standard deviation of ranked over the seeds; "runs failed" per seed; and with sensors the RMS of lateral error, of
+    the lower bound of this error (limit), and of the differential torque: "error (mm), loop", and so on.
     """
     cards = cards[cards["seed"] != PUBLISHED]
     totals = cards[(cards["setting"] == ALL) & (cards["metric"] == "score")].groupby("controller")["value"]

@@ -30,7 +30,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class Alignment:
-    """Track as a sequence of segments. `design_speed` (m/s) is that of a curve entry, otherwise None."""
+    """Track as a sequence of segments. `design_speed` (m/s) gives a curve entry its cant; other tracks have None."""
 
     name: str
     segments: tuple[Segment, ...]

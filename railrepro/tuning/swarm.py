@@ -43,7 +43,7 @@ class Dimension:
         return round(value) if self.scale == "integer" else float(value)
 
     def position(self, value: float) -> float:
-        """Position of a parameter value on the scale, the inverse of `value`; InputError outside of the bounds."""
+        """Position between the bounds of a parameter value, from 0 (low) to 1 (high); InputError outside of them."""
         if not self.low <= value <= self.high:
             raise InputError(f"dimension {self.name}: start {value!r} is not in {self.low}..{self.high}")
         if self.scale == "log":
