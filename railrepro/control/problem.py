@@ -142,6 +142,8 @@ class MPCSettings:
     to the torque that the base torque leaves, as printed. At the limit of the base torque this is 0 (D10)."""
     informed: StrictBool = True
     """Whether forecast and prediction model know the base torque. False: they assume 0."""
+    previewed: StrictBool = True
+    """Whether the forecast knows the set point ahead. False: it keeps the present one. The track ahead stays known."""
     observer: Annotated[float, between(0.0, 1.0)] = 0.0
     """Gain of the offset observer (-). It estimates the creep angle between axle and direction of motion (rad): each
     sample adds gain (y - predicted y)/(v T). 0: no observer, as in the paper."""

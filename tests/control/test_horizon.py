@@ -201,6 +201,16 @@ def test_a_base_torque_leaves_less_as_printed_and_is_left_out_when_unknown(kind,
     assert torque(-3990.0, informed=False) == torque(0.0) != torque(-3990.0)
 
 
+def test_without_preview_the_forecast_keeps_the_present_set_point_and_knows_the_track():
+    x_d, theta = (getattr(NMPC(V, ROUTE, 0, WIDE).problem(X, 0.0).ahead, name) for name in ("x_d", "theta"))
+    held = NMPC(V, ROUTE, 0, replace(WIDE, previewed=False)).problem(X, 0.0).ahead
+    assert np.ptp(x_d[:, AT["y_TrAx"]]) > 1e-5 and x_d[:, AT["psi_TrAx"]].any(), "a set point that moves"
+    assert held.x_d[:, AT["y_TrAx"]] == pytest.approx(x_d[0, AT["y_TrAx"]]) and not held.x_d[:, AT["psi_TrAx"]].any()
+    heading, curvature, *_ = ROUTE.track_at(held.x_d[:, AT["x"]])
+    assert held.x_d[:, AT["psi_Ax"]] == pytest.approx(heading) and (held.theta == theta).all()
+    assert held.x_d[:, AT["psidot_Ax"]] == pytest.approx(curvature * held.x_d[:, AT["xdot"]])
+
+
 @pytest.mark.parametrize("printed", [False, True])
 def test_the_linear_problem_linearises_along_the_track_and_as_printed_at_no_heading(printed):
     guided = LTVMPC(V, ROUTE, 0, WIDE, printed=printed)

@@ -138,7 +138,9 @@ CONTROLS: dict[str, Control] = {
     # controllers without preview are as late as those with preview
     "future without effect": metrics(
         lambda e, s, c, m, v: (
-            e.metrics[s, "nmpc", m] if c in (statements.RATES, statements.SHORT) and m == "delay" else v
+            e.metrics[s, "nmpc", m]
+            if c in (statements.RATES, statements.SHORT, statements.HELD) and m == "delay"
+            else v
         )
     ),
     "a lag doubles the error": metrics(

@@ -20,7 +20,7 @@ typedef struct {
 
 /* A predictive controller of one gear. */
 typedef struct {
-  casadi_int steps, most_sets, n_cells, mode, yielding, informed;
+  casadi_int steps, most_sets, n_cells, mode, yielding, informed, previewed;
   double cell_start, affine, observer;
   /* cells of the route; numbers of forecast, model, problem and drive */
   const double *cells, *nominal, *par, *tuning, *drive;
@@ -48,6 +48,11 @@ void horizon_forecast(horizon_t *h) {
     const double *ahead[] = {h->x_hat, &h->u_d, &t, h->nominal, cell_at(h, at[0]), cell_at(h, at[1])};
     double *stage[] = {h->stage[k].x_d, h->stage[k].theta};
     preview_stage(ahead, stage, 0, 0, 0);
+    if (h->previewed) continue;
+    double *x_d = h->stage[k].x_d;
+    x_d[STATE_y_TrAx] = h->stage->x_d[STATE_y_TrAx], x_d[STATE_psi_TrAx] = 0;
+    x_d[STATE_psi_Ax] = h->stage[k].theta[THETA_psi_Tr];
+    x_d[STATE_psidot_Ax] = h->stage[k].theta[THETA_dpsi_dp] * x_d[STATE_xdot];
   }
 }
 

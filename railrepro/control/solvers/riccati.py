@@ -93,8 +93,8 @@ class Horizon:
         self.tables |= {"cells": cells, "stage": self.stages}
         self.c = of_horizon(
             steps=settings.steps, most_sets=MOST_SETS, n_cells=len(cells), cell_start=route.start, affine=1.0,
-            yielding=settings.yielding, informed=settings.informed, observer=settings.observer,
-            **{name: table.ctypes.data for name, table in self.tables.items()},
+            yielding=settings.yielding, informed=settings.informed, previewed=settings.previewed,
+            observer=settings.observer, **{name: table.ctypes.data for name, table in self.tables.items()},
         )  # fmt: skip
         self.x_hat, self.pointer = codegen.arrays(self.c)["x_hat"], ctypes.byref(self.c)
 

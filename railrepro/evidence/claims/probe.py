@@ -209,6 +209,7 @@ def _curve(world: ProbeSetup) -> Measured:
     unforeseen = {
         statements.RATES: world.experiment(scenario, NDI, changes={"rates": True}, alignment=stretched),
         statements.SHORT: world.experiment(scenario, "nmpc", short, alignment=stretched),
+        statements.HELD: world.experiment(scenario, "nmpc", changes={"previewed": False}, alignment=stretched),
     }
     for label, run in unforeseen.items():
         values, _ = run.measured(entering)

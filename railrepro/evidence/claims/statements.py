@@ -37,6 +37,7 @@ NOTHING = "nothing"  # a running gear that stays at y = 0
 CENTRED = "nmpc, y* = 0"
 RATES = "ndi, rates"  # NDI that knows the rates of the set point at its own position, but nothing ahead
 SHORT = "nmpc, horizon of 0.06 s"  # hardly any preview
+HELD = "nmpc, set point held"  # NMPC whose forecast keeps the present set point
 CONES, NO_CREEP, AS_MODELLED = "nmpc on cones", "nmpc, nearly rolling", "nmpc on cones, nearly rolling"  # cars of NMPC
 SOFT = f"nmpc, R x {EMPHASIS:g}"  # in Fig. 8
 REGULAR = {name: f"{name}, regular operation" for name in ("nmpc", SOFT)}  # has a value also if the run fails later
@@ -244,10 +245,10 @@ def _less_delay(e: Evidence) -> float:
 
 def _because_of_preview(e: Evidence) -> Finding:
     """Compute the fraction of the lead of NMPC over NDI that is lost without preview; NaN if there is no lead."""
-    nmpc, ndi, rates, short = (abs(e(T3, name, "delay")) for name in ("nmpc", NDI, RATES, SHORT))
+    nmpc, ndi, *unforeseen = (abs(e(T3, name, "delay")) for name in ("nmpc", NDI, RATES, SHORT, HELD))
     if not ndi - nmpc > 0.1 * e(T3, NOTHING, "shortest_wave"):
         return Finding(float("nan"))
-    return _least([(rates - nmpc) / (ndi - nmpc), (short - nmpc) / (ndi - nmpc)])
+    return _least([(delay - nmpc) / (ndi - nmpc) for delay in unforeseen])
 
 
 def _robust(e: Evidence) -> float:
