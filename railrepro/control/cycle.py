@@ -32,7 +32,8 @@ def c_text(signature: law.LawSignature, parameters: int, planners: str = SLOTS) 
     slower controllers. `planners` is the C of the slower controllers: planner_memory_t, the type of the memory m of one
     gear, with planner_reset(m, gear, parameters), which initialises it, planner_link(m, gear, parameters, cells), which
     sets its pointers to run-time parameters and rows of the route, and planner_sample(m, states, readings, base
-    torque), which returns the differential torque (N m). The default `SLOTS` calls pointers to a `SAMPLE`."""
+    torque), which returns the differential torque (N m). The default `SLOTS` calls functions of the type `SAMPLE` by
+    pointers."""
     measured, memory, read = indices(interface.Measured), indices(signature.Memory), interface.READ
     places: dict[str, int | str] = {"GEAR_MEASURED": measured.rear.p - measured.front.p, "BASE": memory.front.u}
     places |= {"GEAR_MEMORY": memory.rear.u - memory.front.u, "N_READINGS": len(read), "ESTIMATED": 0, "READ": 0}

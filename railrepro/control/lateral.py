@@ -109,7 +109,7 @@ class SlowController(Protocol):
     `compiled(loop, leader=None)` is for a controller in compiled C and is called once before a run. `loop` has errors
     and delays of sensors and inverters (`Loop`), None for exact states; `leader`, for the rear gear, is the front
     controller. The result is two addresses: of a C function (memory, states (6,) as in `plan`, readings (3,) as in
-    `read`, base torque) -> differential torque (N m), and of its memory. With None the loop calls `plan`.
+    `read`, base torque (N m)) -> differential torque (N m), and of its memory. With None the loop calls `plan`.
     """
 
     period: float
@@ -118,8 +118,8 @@ class SlowController(Protocol):
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
         """Differential torque (N m) to hold until the next sample. Not needed if `compiled` returns addresses. `x_hat`,
         shape (6,), is the measured or estimated state of the gear: track coordinate (m), heading (rad), speed (m/s),
-        yaw rate (rad/s), lateral displacement (m), yaw angle against the track (rad). `u_d` is the base torque per
-        wheel (N m)."""
+        yaw rate (rad/s), lateral displacement (m), yaw angle against the track (rad). `u_d` is the base torque (N m),
+        the torque of each wheel for traction or braking."""
 
 
 Factory = Callable[[Vehicle, Route, int], Any]

@@ -54,8 +54,8 @@ class SensedGains(LawGains):
 
 @dataclass(frozen=True)
 class GearMemory:
-    """What the 1 kHz law of one running gear keeps from cycle to cycle: base torque, filters of the adhesion law,
-    states `lateral` of the lateral law, which `LawSignature.Memory` names."""
+    """What the 1 kHz law of one running gear keeps from cycle to cycle: base torque `u` (common to both wheels),
+    filters of the adhesion law, states `lateral` of the lateral law, which `LawSignature.Memory` names."""
 
     u: Annotated[Scalar, "N m", "base torque"]
     adhesion: AdhesionMemory
@@ -146,10 +146,10 @@ def control_law(
 
     `vehicle` has the parameters that the controllers assume. `guidance` is the lateral law; by default it applies the
     torque of a slower controller (`ZeroOrderHold`). `sensors` has noise, delays and filter; None: controllers get exact
-    states without delay. `adhesion` is by default `AdhesionSettings()`, with the values of `sensors`. `fixed_share` (0
-    to 1) is the part of a motor's torque limit kept for the differential torque; the base torque gets the rest. With 0
-    the former may use all of it and goes first. A run ends when |lateral displacement| of a gear exceeds
-    `lateral_limit` (m), or the front gear reaches `track_end` (m) or is as slow as `stop_speed` (m/s).
+    states without delay. `adhesion` is by default `AdhesionSettings()`, with the values of `sensors.loop.adhesion`.
+    `fixed_share` (0 to 1) is the part of a motor's torque limit kept for the differential torque; the base torque gets
+    the rest. With 0 the former may use all of it and has priority. A run ends when |lateral displacement| of a gear
+    exceeds `lateral_limit` (m), or the front gear reaches `track_end` (m) or is as slow as `stop_speed` (m/s).
     """
     require("fixed_share", fixed_share, _SHARE)
     if sensors is not None:

@@ -132,7 +132,7 @@ def losing(run: simulate.Run, experiment: Experiment) -> store.Entry:
 def slipping(run: simulate.Run, experiment: Experiment) -> store.Entry:
     """Measure a run over a slippery patch (p = 300 to 500 m). Returns (dict, None). Keys: largest_slip of all wheels
     (-); utilisation, mean adhesion of the left front wheel on the patch over the peak there (-); regular_deviation,
-    mean deviation of the adhesion from its set point, relative to it, from 200 to 299 m (-); failed."""
+    mean relative deviation of the adhesion from its set point before the patch, from 200 to 299 m (-); failed."""
     scenario, car, series = experiment.scenario, experiment.car(), metrics.gear_series(run.series, stride=10)
     patch = series[series["front.p"].between(*PATCH)]
     adhesion = float((np.sign(patch["front.f_star"]) * patch["front_le.adhesion"]).mean())
@@ -417,9 +417,9 @@ def macro_slips(series: pd.DataFrame, peak: float, slip: float) -> dict[str, flo
     begins where the slip of a wheel exceeds `slip`. An approach is the stretch from 240 m or a macro slip to the next
     macro slip or the end. Returns a dict: macro_slips, number of macro slips that begin more than 0.135 s (a tenth of a
     wave of the set point) before the end; recovered, number of them in which, within 0.135 s, the base torque falls by
-    a tenth and the slip falls below `slip` (in the paper all); approaches, their number; approached, number of those in
-    which the adhesion reaches 0.9 `peak`, again all in the paper. A last one shorter than 110 m that does not reach it
-    is left out.
+    a tenth and the slip falls below `slip` (all of them by the paper); approaches, their number; approached, number of
+    those in which the adhesion reaches 0.9 `peak` (all by the paper). A last one shorter than 110 m that does not reach
+    it is left out.
     """
     rows = series[series["front.p"] >= REACHED]
     time, torque = rows["t_s"].to_numpy(), rows["front.u_d"].to_numpy()
