@@ -29,9 +29,11 @@ FIGURES = {
 
 
 def exchanged(scenario: Scenario, controller: str) -> pd.DataFrame:
-    """Simulate a controller with the parameters tuned for perfect measurements; returns one row per millisecond.
-    `controller` is a key of `registry.CONTROLLERS` or "nmpc_r10" (R of NMPC times 10). Columns: t_s (s), torque
-    commands of the wheels as inputs of the FMU (N m), lateral displacements front.y and rear.y (m)."""
+    """Simulate a controller with the parameters tuned for perfect measurements, and return what it and the car
+    exchange, one row per millisecond, by which a user can check the car's FMU (`export_fmu`). `controller` is a key of
+    `registry.CONTROLLERS` or "nmpc_r10" (R of NMPC times 10). Columns: t_s (s); torque commands tau_front_le,
+    tau_front_ri, tau_rear_le and tau_rear_ri (N m), named as inputs of the FMU; lateral displacements front.y and
+    rear.y (m)."""
     name, factor = ("nmpc", 10.0) if controller == TEN_TIMES else (controller, 1.0)
     tuned = parameters(name)
     series = Experiment(scenario, name, parameters=with_r_times(tuned, factor) if "r" in tuned else tuned).run().series

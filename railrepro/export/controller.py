@@ -72,8 +72,8 @@ class Export:
         return self.fmu().write(path, platforms)
 
     def fmu(self, route_text: Callable = constant) -> Fmu:
-        """Make the `Fmu` of the controller. InputError if it has no C source. `route_text` is a function (name, array
-        of cells) -> C source that defines the array; default `constant`."""
+        """Make the `Fmu` of the controller. InputError if it has no C source. `route_text` is a function (name, cells
+        of the route) -> C source that defines the array of this name; default `constant`."""
         lateral_law, factory = lateral.split(self.guidance)
         ends: dict[str, Any] = {"lateral_limit": DERAILED, "track_end": self.route.length, "stop_speed": -1.0}
         control = law.control_law(self.vehicle, lateral_law, sensors=self.sensors, **ends)

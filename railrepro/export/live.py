@@ -75,7 +75,8 @@ def content() -> dict:
     - "car": its "module", "parameters", "outputs", and the names "measured" by controllers;
     - "controllers": name -> "label", "module", "parameters";
     - "figures": scenario -> "title", "cells", "speed_kmh", "stop_kmh", "set_point", "end" (m), "stride" (ms between
-      rows of a curve), "force" (kN, largest demand), "committed": controller -> curves "y", "p" (m).
+      rows of a curve), "force" (kN, largest demand), "committed": controller -> curves "y", "p" (m) of a run that
+      Python simulates here with the values in the repository; the page draws them pale and compares its own run.
     """
     scenarios = {name: load_scenario(name) for name in FIGURES.values()}
     routes = {name: scenario.route() for name, scenario in scenarios.items()}

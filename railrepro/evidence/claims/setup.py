@@ -80,7 +80,9 @@ _CHOICES = {one.name for one in fields(ProbeSetup)} - {one.name for one in field
 
 
 def setting_of(column: str) -> str:
-    """Return the setting for which the controllers of `column` were tuned: "paper" also for "swarm", else `column`."""
+    """Return the setting in which the controllers of a column of verdicts (one of `COLUMNS`) were tuned, by which their
+    tuned sets and results are found: "paper" also for "swarm", which differs only by the poles of NDI; else
+    `column`."""
     return PAPER if column == SWARM else column
 
 

@@ -154,7 +154,8 @@ class Page:
         return linked(self.e(setting, scenario, controller, metric), METRICS, unit)
 
     def sudden(self, metric: str, controller: str) -> list[float]:
-        """Metric (SI) of a controller in "paper": its four values, one per run with a sudden loss of adhesion."""
+        """Metric (SI) of a controller in "paper" in the four runs with a sudden loss of adhesion (`statements.SUDDEN`),
+        in this order: both rails in traction, both in braking, left rail in traction, left rail in braking."""
         return [self.e(PAPER, case, controller, metric) for case in statements.SUDDEN]
 
     def find(self, identity: str, setting: str) -> statements.Finding:

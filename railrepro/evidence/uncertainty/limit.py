@@ -58,8 +58,10 @@ class System(NamedTuple):
 
 def system(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float]) -> System:
     """Build the linear system of a running gear at a constant speed (m/s) with the sensors `loop`. `walks` are the
-    intensities of the random walks of lateral force (N/s^0.5) and yaw moment (N m/s^0.5). States: those of
-    `railrepro.own.gear_model`; force and moment; biases of y, psi, r; delayed torque commands, newest first."""
+    intensities of the random walks of lateral force (N/s^0.5) and yaw moment (N m/s^0.5). States in order:
+    displacement, lateral velocity, yaw angle, yaw rate, speed difference of the wheels, motor torque
+    (`gear_model.STATES`); force and moment; biases of y, psi, r; the last d + 1 torque commands, newest first, d the
+    delay in ms (at least 1)."""
     h, n = CONTROL_PERIOD, len(STATES)
     rates, du, _, unknown = lateral_model(vehicle, speed)
     inputs = np.column_stack([du, unknown])
@@ -98,9 +100,9 @@ def limit(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float]
 
 
 def at_weight(plant: System, weight: float) -> tuple[float, float, float]:
-    """Compute standard deviations under the optimal law (`feedback`) for a `weight` of the torque change (1/(N m)^2).
-    Returns y (m), the part of y that no torque removes, which is the error of the Kalman filter (m), and the torque
-    above 5 Hz (N m)."""
+    """Compute standard deviations under the optimal law (`feedback`) for a `weight` of the torque change (mm^2/(N
+    m)^2). Returns y (m), the part of y that no torque removes, which is the error of the Kalman filter (m), and the
+    torque above 5 Hz (N m)."""
     p, m = np.zeros_like(plant.a), TORQUE  # the torques are known
     p[:m, :m] = solve_discrete_are(plant.a[:m, :m].T, plant.c[:, :m].T, plant.q[:m, :m], np.eye(len(plant.c)))
     innovation = plant.c @ p @ plant.c.T + np.eye(len(plant.c))
@@ -115,7 +117,7 @@ def at_weight(plant: System, weight: float) -> tuple[float, float, float]:
 
 def feedback(plant: System, weight: float) -> np.ndarray:
     """Compute the gain L (N m), shape (n,), of the optimal law du_k - du_(k-1) = -L x, x in `System.units`. L minimises
-    E[y^2] + weight E[(du_k - du_(k-1))^2] with y in its unit."""
+    E[y^2] + weight E[(du_k - du_(k-1))^2] with y in mm, `weight` in mm^2/(N m)^2."""
     cost, unit = np.zeros_like(plant.a), plant.units[TORQUE]
     cost[Y, Y] = 1.0
     b = plant.b[:, None] * unit  # in units of the torque the equation is well scaled

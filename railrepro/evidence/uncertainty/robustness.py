@@ -1,7 +1,5 @@
-"""Robustness of the verdicts: all statements on cars sampled from the ranges that the paper leaves open.
-
-Finished runs are in the store, so an interrupted study resumes.
-"""
+"""Robustness of the verdicts: all statements on cars sampled from the ranges that the paper leaves open. Finished runs
+are in the store, so an interrupted study resumes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -217,9 +215,11 @@ def over_poles() -> pd.DataFrame:
 
 
 def main() -> None:
-    """Command `robustness`: judge the statements on sampled cars and write three tables to data/results:
-    robustness_samples.csv, a row per sample with its metrics (`evaluate`); robustness_claims.csv, per statement the
-    share of samples in which it holds (`decided`); pole_verdicts.csv, verdicts by pole of NDI (`over_poles`)."""
+    """Command `robustness`: judge whether the paper's statements hold ("NMPC has a smaller error than NDI") on cars
+    sampled from the ranges of `prior`, what the paper does not print. Writes to data/results: robustness_samples.csv, a
+    row per sample with its metrics (`evaluate`); robustness_claims.csv, per statement the share of samples in which it
+    holds (`decided`); pole_verdicts.csv, verdicts ("reproduced", "not reproduced", …) on the nominal car by pole of NDI
+    (`over_poles`)."""
     write(paths.product("data/results/pole_verdicts.csv"), over_poles().to_csv(index=False, float_format="%.6g"))
     finished = []
     for setting in COLUMNS:
