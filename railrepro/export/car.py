@@ -35,10 +35,9 @@ def export_fmu(
 
 
 def car_fmu(car: component.SteppedCar, speed: float, route_text: Callable = constant) -> Fmu:
-    """Make the `Fmu` of a car with its initial speed (m/s). `route_text` is a function (name, array of numbers) -> C
-    source that defines the array of this name; it gets "CELLS" and the cells of the route, 0.5 m of track each
-    (`Route.cells`). The default makes it `constant`. The live page passes one for an array that it fills at run
-    time."""
+    """Make the `Fmu` of a car with its initial speed (m/s). `route_text` is a function (name, array) -> C source that
+    defines the array; it gets "CELLS" and `Route.cells`, numbers of the route per 0.5 m. The default is `constant`; the
+    live page passes one whose array it fills at run time."""
     parameters = variables(equations.CarParameters, car.parameters)
     parameters.append(variable("speed", speed, above(0.0, component.LARGEST_SPEED, "m/s")))
     inputs = [Variable(name, 0.0, "N m", -component.LARGEST_TORQUE, component.LARGEST_TORQUE) for name in INPUTS]

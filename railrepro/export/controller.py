@@ -1,9 +1,7 @@
-"""Export of controllers as C source without dependencies, and as FMUs (FMI 2.0) for co-simulation.
-
-The export contains the route, the 1 kHz law of both gears (lateral law, adhesion law, allocation, with sensors also the
-filter) and slower controllers with their own period. Its inputs are outputs of the car's FMU, its outputs are the four
-torques. A master that steps the controller before the car, each by 1 ms, gives the trajectory of `simulate.run`.
-"""
+"""Export of controllers as C source without dependencies, and as FMUs (FMI 2.0) for co-simulation. The export contains
+the route, the 1 kHz law of both gears (lateral law, adhesion law, allocation, with sensors also the filter) and slower
+controllers with their own period. Its inputs are outputs of the car's FMU, its outputs are the four torques. A master
+that steps the controller before the car, each by 1 ms, gives the trajectory of `simulate.run`."""
 
 import re
 from collections.abc import Callable, Sequence

@@ -80,9 +80,8 @@ _CHOICES = {one.name for one in fields(ProbeSetup)} - {one.name for one in field
 
 
 def setting_of(column: str) -> str:
-    """Return the setting in which the controllers of a column of verdicts (one of `COLUMNS`) were tuned, by which their
-    tuned sets and results are found: "paper" also for "swarm", which differs only by the poles of NDI; else
-    `column`."""
+    """Return the setting by which to find the tuned sets of a column of verdicts ("paper", "swarm", "loop"): "paper"
+    also for "swarm", in which only the poles of NDI are others; else `column` itself."""
     return PAPER if column == SWARM else column
 
 
