@@ -73,8 +73,7 @@ def unchanged(within: float = 0.0) -> bool:
 
 
 def content(text: str) -> str:
-    """Remove comments, docstrings, empty lines and trailing blanks from Python source. A docstring is here any string
-    that is a statement. Other strings stay as they are."""
+    """Remove comments, docstrings (strings that are statements), empty lines, trailing blanks from Python source."""
     text = text.replace("\r\n", "\n")
     parts, code, depth, end = [], "", 0, 0
     for match in _TOKEN.finditer(text):
@@ -130,7 +129,8 @@ def _next(name: str) -> frozenset[str]:
 
 def reached(*texts: str) -> dict[str, str]:
     """Return all files of this package on which Python sources depend: those that the `texts` import, directly or
-    through other modules, as a dict: name, such as "railrepro/clock.py" -> SHA-256 of its content."""
+    through other modules, as a dict: name, such as "railrepro/clock.py" -> SHA-256. It is that of the `content` of a
+    Python file, which comments and docstrings do not change, and that of the whole of a C file."""
     hashes: dict[str, str] = {}
     pending = [file for text in texts for file in _imported(content(text))]
     while pending:
@@ -143,8 +143,9 @@ def reached(*texts: str) -> dict[str, str]:
 
 @cache
 def reached_from(module: str) -> str:
-    """SHA-256 of a `module` of this package and all files of the package that it imports, directly or not, except those
-    that draw figures (`DRAWING`). It is the key of results that the module computes."""
+    """SHA-256 of a module of this package, named as in `__name__`, such as "railrepro.clock", and all files of the
+    package that it imports, directly or not, except those that draw figures (`DRAWING`). It is a part of the key under
+    which results of the module are stored, so that an edit makes them invalid."""
     return _joined(reached(f"from {module} import {module}"))
 
 

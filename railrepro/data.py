@@ -241,8 +241,9 @@ _adapter = functools.cache(pydantic.TypeAdapter)
 def build(kind: type, content: Any, where: str, instance: Any = None) -> Any:
     """Check dicts and lists as from `read` and convert them to instances of a class. `kind` is a class marked with
     `table`, or `dict[str, that class]` for named tables. `where` names the file in the message of the InputError, which
-    tells the first fault. A constructor passes its new object as `instance`, which takes the values. For the content of
-    a file `instance` is None; validators then find True in the `context` of pydantic, else False."""
+    tells the first fault. Only the constructors of such classes pass `instance`, their new object, which takes the
+    values. The `context` of pydantic tells validators whether `content` is from a file, True without `instance`: there
+    a `vehicle.parameters.Parameter` is a table with unit and source, in a constructor it is the number alone."""
     try:
         return _adapter(kind).validator.validate_python(content, self_instance=instance, context=instance is None)
     except pydantic.ValidationError as error:

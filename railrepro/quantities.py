@@ -21,8 +21,9 @@ Group = TypeVar("Group")
 
 
 def reannotated(of: type[Group], **annotations: Any) -> type[Group]:
-    """Make a subclass of a dataclass of quantities in which the fields `annotations` have another type or unit, such as
-    a list with other labels. The order of the fields stays."""
+    """Make a subclass of a dataclass of quantities in which the fields `annotations` have another type or unit, in the
+    same order. For example, reannotated(LawGains, lateral=Annotated[list[Scalar], ("k0", "k1")]) has a list of two
+    numbers named "lateral.k0" and "lateral.k1"; each lateral law has its own gains."""
     return make_dataclass(of.__name__, annotations.items(), bases=(of,), frozen=True)
 
 

@@ -181,12 +181,10 @@ class SteppedCar:
 
     def step(self, torque=None, steps: int = 1, period: float = CONTROL_PERIOD) -> None:
         """Integrate the car over `steps` steps of the length `period` (s), above 0 up to 0.01, with constant `torque`
-        commands (N m), shape (4,), by default the attribute `torque`.
-
-        When |y| of a running gear first reaches 30 mm (derailment), a warning is issued and the simulation goes on.
-        ArithmeticError if a state is not finite or reaches 1e7 (SI); `state` then holds the values before that step.
-        InputError if an argument has a wrong type or is out of range.
-        """
+        commands (N m), shape (4,), by default the attribute `torque`. When |y| of a running gear first reaches 30 mm
+        (derailment), a warning is issued and the simulation goes on. ArithmeticError if a state is not finite or
+        reaches 1e7 (SI); `state` then holds the values before that step. InputError if an argument has a wrong type or
+        is out of range."""
         require("steps", steps, between(0, np.inf), whole=True)
         require("period", period, above(0.0, 10 * CONTROL_PERIOD, "s"))
         if torque is not None:
@@ -224,8 +222,9 @@ class SteppedCar:
         return dict(zip(ENERGIES, np.array(self.model.energy(*self.inputs())).ravel().tolist(), strict=True))
 
     def inputs(self) -> tuple[np.ndarray, ...]:
-        """Return copies of the arguments of the functions of `Car` at the present state: state x, torque commands u,
-        rows with the coefficients of route and contact table at this state, parameters par."""
+        """Return copies of the five arguments of the functions of `Car` at the present state, a tuple of arrays (x, u,
+        rows, contacts, par): state; torque commands (N m), shape (4,); a row of the route for each of the 3 bodies,
+        shape (len(COLUMNS), 3); a row of the contact table for each wheel, (len(CELL_COLUMNS), 4); parameters."""
         self._library.car_look_up(self._pointer)
         rows, contacts = self._arrays["rows"].T, self._arrays["contacts"].T
         return tuple(a.copy() for a in (self.state, self.torque, rows, contacts, self.parameters))

@@ -20,12 +20,12 @@ def _beyond(value: ca.SX, clearance: ca.SX) -> ca.SX:
 class Suspension:
     """Springs, dampers, traction link, torsion bars and stops between the car body and one wheel carrier.
 
-    A force acts on both bodies at the attachment point of the car body, so that angular momentum is conserved. The rods
-    that carry the pitch reaction of the motors act about z_body x x_carrier; with relative roll they also turn the
-    carrier in yaw. Source: eqs. (13b) and (13c), for yaw and roll at small angles.
-
-    `lower` is the wheel carrier, `end` +1 for the front one and -1 for the rear one. `par` is an
-    `equations.CarParameters`.
+    `body` (upper) is the car body, `lower` the wheel carrier, `end` +1 for the front one and -1 for the rear one, `par`
+    an `equations.CarParameters`. `stages` puts symbols in place of deflections and forces, so that the Jacobian is
+    cheap. A force acts on both bodies at the attachment point of the car body, so that angular momentum is conserved.
+    The rods that carry the pitch reaction of the motors act about the cross product of the body's axis z and the
+    carrier's axis x; with relative roll they also turn the carrier in yaw. Torsion springs act by the sine of an angle.
+    Source: eqs. (13b), (13c) of the paper, which are linear and for yaw and roll alone; at small angles both agree.
 
     Attributes:
         force_on_lower, moment_on_lower (SX, shape (3, 1)): Force (N) and moment about the centre of gravity (N m) on

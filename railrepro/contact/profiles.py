@@ -45,9 +45,9 @@ _S1002 = (
 
 
 def s1002(lateral) -> tuple[np.ndarray, np.ndarray]:
-    """Wheel profile S1002: radius minus the nominal radius (m), and its derivative (-), each in the shape of `lateral`.
-    `lateral` is the distance from the tape circle (m), -0.07 to 0.06. Source: EN 13715 (UIC 510-2), S1002 with a flange
-    28 mm high and 32.5 mm thick."""
+    """Wheel profile S1002: radius minus the nominal radius (m), and its derivative by `lateral` (-), each in the shape
+    of `lateral`. `lateral` is the coordinate from the tape circle (m), from -0.07 (back of the flange) to 0.06 (field
+    side). Source: EN 13715 (UIC 510-2), S1002 with a flange 28 mm high and 32.5 mm thick."""
     s = np.asarray(lateral, dtype=float) / MM
     zones = [s >= limit for limit, _, _ in _S1002]
     height = np.select(zones, [f(s) for _, f, _ in _S1002], np.nan)

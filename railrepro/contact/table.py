@@ -34,13 +34,13 @@ _PATCH = ("semi_axis_x_m", "semi_axis_y_m", *_ELLIPSE[2:])
 
 @dataclass(frozen=True)
 class ContactTable:
-    """Contact quantities over the lateral shift of a wheel towards its flange.
-
-    `frame` has one row per shift, uniformly spaced. Columns: shift_m; effective_radius_m (its slope is the tangent of
-    the contact angle, so the normal force is conservative); angle_rad (contact angle); rolling_radius_m; rail_contact_m
-    (lateral position of the contact on the rail, from half the contact base, positive to the field side);
-    semi_axis_x_m, semi_axis_y_m (at nominal load); Kalker's c11, c22, c23, c33 (-); normal_stiffness (N/m^1.5).
-    """
+    """Contact quantities over the lateral shift of a wheel towards its flange. `frame` has one row per shift, uniformly
+    spaced. Columns: shift_m; effective_radius_m (height of the axle above the rail at which the wheel touches; the
+    normal force follows from it, and is conservative as its slope is the tangent of the contact angle); angle_rad
+    (contact angle); rolling_radius_m (at which the wheel rolls; creepages follow from it); rail_contact_m (lateral
+    position of the contact on the rail, from half the contact base, positive to the field side); semi_axis_x_m,
+    semi_axis_y_m (of the contact ellipse at nominal load, along and across the rail); Kalker's c11, c22, c23, c33 (-);
+    normal_stiffness (N/m^1.5)."""
 
     frame: pd.DataFrame
 
@@ -80,16 +80,13 @@ def _cells(content: bytes) -> np.ndarray:
 
 
 def in_cell(cell: dict, offset) -> dict:
-    """Contact quantities of a wheel from `cell`, a row of `ContactTable.cells` as a dict: `CELL_COLUMNS` -> values.
-
-    A wheel that hits its flange may leave the row by several widths in a stage of the integrator. There the effective
+    """Contact quantities of a wheel from `cell`, a row of `ContactTable.cells` as a dict: `CELL_COLUMNS` -> values. A
+    wheel that hits its flange may leave the row by several widths in a stage of the integrator. There the effective
     radius and the rolling radius continue along their tangents, and all else is constant. So the effective radius
-    remains the integral of its slope, and the contact generates no energy.
-
-    `offset` is the shift minus the shift at the start of the row (m). It and the values are numbers, arrays or symbols.
-    The result is a dict: effective_radius (m), slope (its derivative, the tangent of the contact angle, -),
-    rolling_radius, rail_contact, semi_axis_x, semi_axis_y (m), c11, c22, c23, c33 (-), normal_stiffness (N/m^1.5).
-    """
+    remains the integral of its slope, and the contact generates no energy. `offset` is the shift minus the shift at the
+    start of the row (m). It and the values are numbers, arrays or symbols. The result is a dict: effective_radius (m),
+    slope (its derivative, the tangent of the contact angle, -), rolling_radius, rail_contact, semi_axis_x, semi_axis_y
+    (m), c11, c22, c23, c33 (-), normal_stiffness (N/m^1.5)."""
     first, square, cube = (cell[f"radius_{name}"] for name in ("slope", "square", "cube"))
     m = elementary(offset)
     inside = m.fmin(m.fmax(offset, -_BEYOND), cell["width"] + _BEYOND)

@@ -23,8 +23,9 @@ SLOWEST = 1.0
 
 @dataclass(frozen=True)
 class AdhesionInputs:
-    """Inputs of the adhesion law of one running gear: adhesion `f` and slip `s` of its [left, right] wheel, set point,
-    speed, last base torque, and data of the vehicle."""
+    """Inputs of the adhesion law of one running gear: adhesion `f` and slip `s` of its [left, right] wheel, set point
+    `f_star`, speed `v` of the gear along the track, base torque `u` of the cycle before, and data of the vehicle. The
+    base torque is the torque per wheel common to left and right, which this law computes."""
 
     f: Annotated[list[Scalar], SIDES, "adhesion (-), traction-positive"]
     s: Annotated[list[Scalar], SIDES, "slip (v - w r)/v (-)"]
@@ -46,9 +47,11 @@ class AdhesionMemory:
 
 @table
 class AdhesionSettings:
-    """Parameters of the adhesion law. Each ms the base torque rises by `raise_step` if the adhesion is more than
-    `corridor` below its set point, falls by `lower_step` if as much above, and by `drop_step` past the adhesion
-    maximum, which counts only at slip rates above `dead_zone`. Not `active`, the law passes the demanded torque."""
+    """Parameters of the adhesion law. Each ms the base torque (common to both wheels) rises by `raise_step` (N m) if
+    the adhesion is more than `corridor` below its set point, falls by `lower_step` (N m) if as much above, and by
+    `drop_step` (N m) past the adhesion maximum, which counts only at slip rates above `dead_zone`. This zone is wider
+    below `noise_speed`, for slip computed from noisy sensors; 0 for exact ones. Not `active`, the base torque follows
+    set point times static load times wheel radius, by `raise_step` per ms."""
 
     raise_step: _STEP = 2.0
     """Increase of the base torque while the adhesion is below the corridor (N m per ms), p1 of the paper."""

@@ -1,8 +1,6 @@
-"""Lateral guidance of a running gear: laws at 1 kHz, and slower controllers, whose torque is held between samples.
-
-A 1 kHz law such as NDI is written in CasADi expressions and becomes part of the compiled loop. Its gains are run-time
-numbers, so one compiled object serves all tunings of a law. Serves the paper's Fig. 4.
-"""
+"""Lateral guidance of a running gear: laws at 1 kHz, and slower controllers, whose torque is held between samples. A 1
+kHz law such as NDI is written in CasADi expressions and becomes part of the compiled loop. Its gains are run-time
+numbers, so one compiled object serves all tunings of a law. Serves the paper's Fig. 4."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,7 +19,9 @@ from railrepro.vehicle.parameters import Vehicle
 
 @dataclass(frozen=True)
 class GearInputs:
-    """Inputs of a 1 kHz law about its running gear: its six states (`x` to `psi`), acceleration, held torque."""
+    """Inputs of a 1 kHz law (`LateralLaw`) about its running gear: its six states (`x` to `psi`); `xddot`, the
+    acceleration along the track by the base torque, which is common to both wheels; `held`, the last differential
+    torque of a slower controller such as NMPC, 0 without one."""
 
     x: Annotated[Scalar, "m", "coordinate along the track"]
     psi_Ax: Annotated[Scalar, "rad", "heading of the running gear"]
@@ -35,8 +35,9 @@ class GearInputs:
 
 @dataclass(frozen=True)
 class TrackInputs:
-    """Inputs of a 1 kHz law at the position of its gear: heading, superelevation and gradient of the track, heading of
-    the car body, set point `y_ref` of the lateral displacement, and their derivatives along the track."""
+    """Inputs of a 1 kHz law at the position of its gear: heading, superelevation and gradient of the track, heading
+    `psi_CB` of the car body, set point `y_ref` of the lateral displacement, and their derivatives along the track.
+    `psi_CB` is not measured: it is the mean heading of the track at both gears, its derivative the mean curvature."""
 
     psi_Tr: Annotated[Scalar, "rad", "heading of the track"]
     dpsi_dp: Annotated[Scalar, "1/m", "curvature of the track"]
@@ -55,7 +56,9 @@ class TrackInputs:
 
 @dataclass(frozen=True)
 class ModelInputs:
-    """Inputs of a 1 kHz law about the nominal vehicle: inertias, yaw suspension and wheel geometry of a gear."""
+    """Inputs of a 1 kHz law about the nominal vehicle: inertias, yaw suspension and wheel geometry of a gear. `J_eff`
+    is its yaw inertia with counter-rotating wheels, J_z + J_Wy b^2/(2 r_0^2); `m_x_eff` its mass with half the car body
+    and the spin of its wheels, m + m_CB/2 + 2 J_Wy/r_0^2; `b` the distance from left to right contact."""
 
     J_eff: Annotated[Scalar, "kg m2", "effective yaw inertia of a running gear"]
     k_sz: Annotated[Scalar, "N m/rad", "yaw stiffness of the suspension"]
@@ -87,8 +90,9 @@ class LateralLaw(Protocol):
 
     Four members are optional. `memory` is a tuple with the names of the states of the law, which each gear has for
     itself and which start at 0. `gains()` returns a dict from name to value of numbers that can change without
-    compiling again. `ranges()` returns a dict from name of a gain to the `data.Quantity` in which an exported law keeps
-    it. `alike = True` in the body of a class states that `torque` depends on q only, so one object stands for all.
+    compiling again. `ranges()` returns a dict from name of a gain to its `data.Quantity` (unit, lowest and highest
+    value); the law exported as C or FMU refuses a gain out of its range. `alike = True` in the body of a class states
+    that `torque` depends on q only, so one object stands for all.
     """
 
     def torque(self, q: Quantities) -> ca.SX | tuple[ca.SX, dict[str, ca.SX]]:
@@ -102,9 +106,10 @@ class SlowController(Protocol):
     `read(readings, delay)` is called before `plan` in a run with sensors. `readings` are lateral displacement (m), yaw
     angle against the track (rad) and yaw rate (rad/s) as read. `delay` is the time from reading to torque (s).
 
-    `compiled(loop, leader=None)` is for a controller in compiled C and is called once before a run. It returns the
-    addresses of the C function of a sample (`control.cycle.SAMPLE`) and of its memory, or None if `plan` is to be
-    called. `loop` is the `Loop` of the sensors or None; `leader`, for the rear gear, is the front controller.
+    `compiled(loop, leader=None)` is for a controller in compiled C and is called once before a run. `loop` has errors
+    and delays of sensors and inverters (`Loop`), None for exact states; `leader`, for the rear gear, is the front
+    controller. The result is two addresses: of a C function (memory, states (6,) as in `plan`, readings (3,) as in
+    `read`, base torque (N m)) -> differential torque (N m), and of its memory. With None the loop calls `plan`.
     """
 
     period: float
@@ -113,8 +118,8 @@ class SlowController(Protocol):
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
         """Differential torque (N m) to hold until the next sample. Not needed if `compiled` returns addresses. `x_hat`,
         shape (6,), is the measured or estimated state of the gear: track coordinate (m), heading (rad), speed (m/s),
-        yaw rate (rad/s), lateral displacement (m), yaw angle against the track (rad). `u_d` is the base torque per
-        wheel (N m)."""
+        yaw rate (rad/s), lateral displacement (m), yaw angle against the track (rad). `u_d` is the base torque (N m),
+        the torque of each wheel for traction or braking."""
 
 
 Factory = Callable[[Vehicle, Route, int], Any]

@@ -1,9 +1,7 @@
 """The control law of the 1 kHz control cycle as one function: measurement, adhesion law, lateral law, integration rule.
-
 The controllers get the true states of the car, or with sensors the estimates of `railrepro.estimation`. Gains are
 run-time inputs, so laws that differ in numbers only share compiled code. Serves the paper's Fig. 4 and sections
-Adhesion Control and Integration Approach.
-"""
+Adhesion Control and Integration Approach."""
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -56,8 +54,8 @@ class SensedGains(LawGains):
 
 @dataclass(frozen=True)
 class GearMemory:
-    """What the 1 kHz law of one running gear keeps from cycle to cycle: base torque, filters of the adhesion law,
-    states `lateral` of the lateral law, which `LawSignature.Memory` names."""
+    """What the 1 kHz law of one running gear keeps from cycle to cycle: base torque `u` (common to both wheels),
+    filters of the adhesion law, states `lateral` of the lateral law, which `LawSignature.Memory` names."""
 
     u: Annotated[Scalar, "N m", "base torque"]
     adhesion: AdhesionMemory
@@ -112,7 +110,9 @@ class LawSignature:
 
     @property
     def record(self) -> tuple[str, ...]:
-        """Names of the quantities that a run logs, such as "front.du", with sensors also "front.estimated.y_TrAx"."""
+        """Names of the quantities that a run logs, front gear before rear: "front.u_d" to "front.y_ref"
+        (`interface.RECORD`: torques, set point and segment of the adhesion law, lateral set point). With sensors
+        "front.estimated.x" to "front.estimated.y_ref" follow (`interface.ESTIMATED`: what the controllers get)."""
         groups = {"": interface.RECORD} | ({"estimated.": interface.ESTIMATED} if self.sensed else {})
         return tuple(f"{gear}.{group}{name}" for group, of in groups.items() for gear in GEARS for name in of)
 
@@ -123,7 +123,8 @@ _shared = lru_cache(LawSignature)
 
 @dataclass(frozen=True)
 class ControlLaw:
-    """The 1 kHz law of both gears: its equations (`signature`) with the values of its gains."""
+    """The 1 kHz law of both gears, as `control_law` makes it: its equations (`signature`) with the values of its gains,
+    shape (n,), in the order of `quantities.names(signature.Gains)`."""
 
     signature: LawSignature
     gains: np.ndarray
@@ -141,11 +142,13 @@ def control_law(
     track_end: float,
     stop_speed: float,
 ) -> ControlLaw:
-    """Make the 1 kHz law of both gears. InputError if an argument has a wrong type or value, see `lateral.signature`.
+    """Make the 1 kHz law of both gears. InputError if an argument has a wrong type or value.
 
     `vehicle` has the parameters that the controllers assume. `guidance` is the lateral law; by default it applies the
-    torque of a slower controller (`ZeroOrderHold`). The default of `adhesion` is `AdhesionSettings()` with the values
-    of `sensors.loop.adhesion`. `fixed_share` is as in `allocate`. A run ends when |lateral displacement| of a gear
+    torque of a slower controller (`ZeroOrderHold`). `sensors` has noise, delays and filter; None: controllers get exact
+    states without delay. `adhesion` is by default `AdhesionSettings()`, with the values of `sensors.loop.adhesion`.
+    `fixed_share` (0 to 1) is the part of a motor's torque limit kept for the differential torque; the base torque gets
+    the rest. With 0 the former may use all of it and has priority. A run ends when |lateral displacement| of a gear
     exceeds `lateral_limit` (m), or the front gear reaches `track_end` (m) or is as slow as `stop_speed` (m/s).
     """
     require("fixed_share", fixed_share, _SHARE)

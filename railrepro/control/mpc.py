@@ -1,8 +1,6 @@
-"""Nonlinear and linear time-variant model predictive control of one running gear.
-
-A sample is compiled code, `planner.c`, which the closed loop calls without Python. Only the reference solver, Ipopt, is
-called from Python. Serves the paper's sections Nonlinear and Linear Time-Variant Model Predictive Control.
-"""
+"""Nonlinear and linear time-variant model predictive control of one running gear. A sample is compiled code,
+`planner.c`, which the closed loop calls without Python. Only the reference solver, Ipopt, is called from Python. Serves
+the paper's sections Nonlinear and Linear Time-Variant Model Predictive Control."""
 
 import ctypes
 import time
@@ -86,8 +84,9 @@ class PredictiveController:
         return torque
 
     def compiled(self, _loop: object, _leader: object = None) -> tuple[int, int] | None:
-        """Addresses of the C function of a sample and of its memory, see `lateral.SlowController`. None with Ipopt,
-        which is called from Python, and for a derived class, whose `plan` may differ."""
+        """Addresses of the C function of a sample and of the memory `c` of this controller, so that the compiled loop
+        solves each problem without Python; the arguments are ignored. None with Ipopt, which is called from Python, and
+        for a derived class, whose `plan` may differ: then the loop calls `plan`."""
         if type(self) not in (NMPC, LTVMPC) or (isinstance(self, NMPC) and self.solver == "ipopt"):
             return None
         return ctypes.cast(self._library.planner_sample, ctypes.c_void_p).value or 0, ctypes.addressof(self.c)

@@ -115,9 +115,13 @@ def torque_limit() -> ca.Function:
 
 @table
 class MPCSettings:
-    """Settings of a predictive controller: weights, horizon, prediction model, soft bound of |y|. With `yielding`, |du|
-    may use the whole motor torque, else only what the base torque leaves. With `informed`, the forecast knows the base
-    torque, else it assumes 0. `observer` is the gain of an observer of the creep angle (-), 0: none."""
+    """Settings of a predictive controller: weights, horizon, prediction model, soft bound of |y|. `q_diag` has the
+    weights of squared deviations of x, psi_Ax, xdot, psidot_Ax, y_TrAx and psi_TrAx, each in 1 over the square of its
+    unit (m, rad, s). At the end of the horizon only y_TrAx and psi_TrAx count, with `q_terminal` times these weights.
+    `discretisation` is "euler", "midpoint" or "rk4". `variant` of the model is "corrected", "printed" (all errata of
+    the paper) or a list of errata to keep, as "D1,D3". With `yielding`, |du| may use the whole motor torque, else only
+    what the base torque (common to both wheels) leaves. With `informed`, the forecast knows the base torque, else it
+    assumes 0. `observer` is the gain of an observer of the creep angle (-), 0: none."""
 
     q_diag: tuple[Any, ...] = (0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
     """Diagonal of Q: weights of the six states (1/m^2, 1/rad^2, s^2/m^2, s^2/rad^2, 1/m^2, 1/rad^2)."""
@@ -138,8 +142,7 @@ class MPCSettings:
     bound_weight: Annotated[float, between(0.0, 1e9)] = 100.0
     """Weight of the squared slack of the lateral bound, relative to the weight of y (-)."""
     yielding: StrictBool = True
-    """True: |du| may use the whole motor torque, and the base torque yields, as in `allocate`. False: |du| is limited
-    to the torque that the base torque leaves, as printed. At the limit of the base torque this is 0 (D10)."""
+    """False: |du| is limited to what the base torque leaves, as printed; this is 0 at the base torque's limit (D10)."""
     informed: StrictBool = True
     """Whether forecast and prediction model know the base torque. False: they assume 0."""
     previewed: StrictBool = True

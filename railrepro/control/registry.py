@@ -121,12 +121,10 @@ def with_r_times(parameters: dict, factor: float) -> dict:
 
 
 def guidance(name: str, parameters: dict, options: dict | None = None, **changes):
-    """Make a lateral controller for `simulate.run`. InputError for an unknown name or argument.
-
-    `name` is a key of `CONTROLLERS`, such as "nmpc", `parameters` a dict of its tuning parameters, as from
-    `registry.parameters`. `options` are further arguments of a predictive controller, such as {"solver": "rti"};
-    `changes` are fields of `MPCSettings` or `NDI` that replace those from `parameters`.
-    """
+    """Make a lateral controller for `simulate.run`. InputError for an unknown name or argument. `name` is a key of
+    `CONTROLLERS`, such as "nmpc", `parameters` a dict of its tuning parameters, as from `registry.parameters`.
+    `options` are further arguments of a predictive controller, such as {"solver": "rti"}; `changes` are fields of
+    `MPCSettings` or `NDI` that replace those from `parameters`."""
     require("controller", name, str)
     if name not in CONTROLLERS:
         raise InputError(f"controller {name!r} is not known; there are {sorted(CONTROLLERS)}")
@@ -162,9 +160,10 @@ def read(controller: str, setting: str = PAPER, folder: Path | None = None) -> d
 
 
 def tuned_set(controller: str, setting: str = PAPER) -> dict:
-    """Tuned parameters of a controller, a dict with at least the keys "controller", "setting" and "parameters". They
-    are from the table "designed" of the setting in data/tuning.toml if it has the controller, else from the file, see
-    `read`. InputError for an unknown setting, or without parameters."""
+    """Tuned parameters of a controller in a setting, "paper" (exact signals) or "loop" (sensors, delays): a dict with
+    "controller", "setting", "parameters" and, from a file, how they were found, which `parameters` leaves out.
+    Parameters that a person chose are in data/tuning.toml, table [setting.SETTING.designed]; those that a swarm or rule
+    found are in data/tuned, see `read`. InputError for an unknown setting, or without parameters."""
     require("controller", controller, str)
     require("setting", setting, str)
     if setting not in SETTINGS:

@@ -172,20 +172,19 @@ def make_guidance(controller: type, settings: Mapping[str, float]) -> lateral.Gu
 
 
 def known_route(route: Route) -> Route:
-    """Copy of a route without irregularities and poor adhesion, which a scored controller may not know."""
+    """Return a copy of a route in which rails are smooth and nowhere poor. A scored controller gets this copy, because
+    irregularities and stretches of poor adhesion must be unknown to it."""
     cells, hidden = np.array(route.cells), (*CHANNELS, "poor_le", "poor_ri")
     cells[:, [i for name, i in INDEX.items() if name in hidden or name.lstrip("d") in hidden]] = 0.0
     return Route(cells, route.length)
 
 
 def drive(of: str | Path | type, case: Experiment) -> dict:
-    """Simulate a run of `cases` under a controller and return its row, a dict.
-
-    `of` is a key of `registry.CONTROLLERS`, a class or a file, which a process loads and runs. The row has the labels
-    of the run, controller (name), failure (one sentence, "" for a good run) and the metrics (SI, see `METRICS`). A run
-    whose controller raises an error has no metrics. InputError when a file ended its process or took longer than 600 s,
-    if the run is started by `executor.ordered_map` with apart=True.
-    """
+    """Simulate a run of `cases` under a controller and return its row, a dict. `of` is a key of `registry.CONTROLLERS`,
+    a class or a file, which a process loads and runs. The row has the labels of the run, controller (name), failure
+    (one sentence, "" for a good run) and the metrics (SI, see `METRICS`). A run whose controller raises an error has no
+    metrics. InputError when a file ended its process or took longer than 600 s, if the run is started by
+    `executor.ordered_map` with apart=True."""
     head = case.label | {"controller": name_of(of), "failure": ""}
     if isinstance(of, Path):
         run = f"{of.name}: its run {case.label['scenario']} in the setting {case.setting}"
@@ -240,8 +239,9 @@ def _row(run: Run, of: Experiment) -> store.Entry:
 
 
 def cost(row: dict) -> float:
-    """Cost J >= 0 (-, less is better) of a run that did not fail, by the formula at the head of this module. `row` is
-    from `drive`; inf where a metric is not finite."""
+    """Cost J >= 0 (-, less is better) of a run that did not fail: error / 1 mm + effort_du / 4 kN m + max(0,
+    activity_du / 0.5 kN m - 1) + 2 (1 - utilisation) + 10 max(0, s - 1), s the larger of y_over_q / 0.8 and
+    sum_y_over_limit. `row` is from `drive`; utilisation counts as 1 above 1 or if missing; inf if J is not finite."""
     unused = 1 - min(row["utilisation"], 1.0) if np.isfinite(row.get("utilisation", np.nan)) else 0.0
     unsafe = max(row["y_over_q"] / Y_OVER_Q_LIMIT, row["sum_y_over_limit"])
     value = row["error"] / 1e-3 + row["effort_du"] / 4e3 + max(0.0, row["activity_du"] / 500 - 1)
@@ -258,13 +258,12 @@ def points(row: dict) -> float:
 
 
 def ends_of_the_scale(case: Experiment) -> dict[str, float]:
-    """Compute the costs J (-) that are worth 0 and 100 points in a run of `cases`, and a bound of its error; a dict.
-
+    """Compute the costs J (-) that are worth 0 and 100 points in a run of `cases`, and the least error; a dict.
     nothing: cost of the run without guidance, worth 0; inf if it fails. best: cost worth 100. limit: least possible RMS
-    lateral error (m). With exact measurements best is 0 and limit NaN. With sensors `uncertainty.limit` gives the least
-    error for each of four RMS torques above 5 Hz (20 to 500 N m), on dry rail with weak disturbances: limit is the
-    smallest, best the smallest sum of error / 1 mm and torque / 4 kN m.
-    """
+    lateral error (m). With exact measurements best is 0 and limit NaN. With sensors `uncertainty.limit` computes, for
+    dry rail and weak disturbances, the least error of any causal law whose differential torque has an RMS of 20, 50,
+    115 or 500 N m after a high-pass at 5 Hz. limit is the smallest of the four errors, best the smallest of the four
+    sums error / 1 mm + this torque / 4 kN m."""
     row = drive(NOTHING, case)
     ends = {"nothing": float("inf") if row["failure"] else cost(row), "best": 0.0, "limit": float("nan")}
     if case.setting == PAPER:
@@ -332,13 +331,11 @@ def _sums(rows: pd.DataFrame) -> dict[str, float]:
 
 
 def ranking(cards: pd.DataFrame) -> pd.DataFrame:
-    """Rank controllers by their `card` tables, one below the other: one row per controller, the best first.
-
-    Values are means over five seeds; the published seed for development is left out. Points from 0 to 100, more is
-    better: ranked, both settings; paper and loop, each of them; margins, the runs with more delay or lag. Also spread,
-    standard deviation of ranked over the seeds; "runs failed" per seed; and with sensors the RMS of lateral error, of
-    the lower bound of this error (limit), and of the differential torque: "error (mm), loop", and so on.
-    """
+    """Rank controllers by their `card` tables, one below the other: one row per controller (index), the best first.
+    Values are means over seeds, without the published one. Columns: "ranked", points in both settings, 0 to 100, the
+    mean of "paper" and "loop", points in each; "spread", standard deviation of ranked over the seeds; "margins", points
+    in runs with more delay or lag; "runs failed" per seed, in both; with sensors, RMS lateral error, its lower bound
+    and RMS differential torque, "error (mm), loop", "limit (mm), loop", "torque (N m), loop"."""
     cards = cards[cards["seed"] != PUBLISHED]
     totals = cards[(cards["setting"] == ALL) & (cards["metric"] == "score")].groupby("controller")["value"]
     mean = cards.pivot_table(index="controller", columns=["metric", "setting"], values="value")
@@ -350,12 +347,10 @@ def ranking(cards: pd.DataFrame) -> pd.DataFrame:
 
 
 def tuning_cost(of: type, setting: str, runs: Sequence[str]) -> Callable[[list[dict], list[float]], list[float]]:
-    """Make the cost function with which `swarm.minimise` tunes a controller class `of`.
-
-    `runs` are names of runs in data/tuning.toml for the `setting`, "paper" or "loop". The function takes a list of
-    dicts of gains and a limit of the cost for each, and returns a list with the mean cost over the runs (-) for each. A
-    cost above its limit is a lower bound: the remaining runs were left out.
-    """
+    """Make the cost function with which `swarm.minimise` tunes a controller class `of`. `runs` are names of runs in
+    data/tuning.toml for the `setting`, "paper" or "loop". The function takes a list of dicts of gains and a limit of
+    the cost for each, and returns a list with the mean cost over the runs (-) for each. A cost above its limit is a
+    lower bound: the remaining runs were left out."""
     name, task = _registered(of), load_task(setting=setting)
     chosen = replace(task, runs={each: task.runs[each] for each in task.runs if each in runs})
     return lambda sets, limits: [evaluate(name, chosen, *pair)[0] for pair in zip(sets, limits, strict=True)]
@@ -363,11 +358,9 @@ def tuning_cost(of: type, setting: str, runs: Sequence[str]) -> Callable[[list[d
 
 def main(controller: str, seed: int = PUBLISHED, ranked: bool = False) -> None:
     """Command `score`: score a controller with one seed, print its `card` and write its table to build/score.
-
     `controller` is a registered name or a Python file. With `ranked` it is scored with `ranked_seeds` in place of
-    `seed`, and its row of `ranking` is printed. A file runs in processes of its own, but with all rights of the user;
-    a line says so before it starts. InputError as from `drive`, and for a controller that cannot drive at all.
-    """
+    `seed`, and its row of `ranking` is printed. A file runs in processes of its own, but with all rights of the user; a
+    line says so before it starts. InputError as from `drive`, and for a controller that cannot drive at all."""
     of, begin = entry(controller), time.perf_counter()
     data.require("seed", seed, data.between(0, 2**31), whole=True)
     seeds = ranked_seeds(of) if ranked else (seed,)

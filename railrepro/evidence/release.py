@@ -1,9 +1,7 @@
-"""Archive of a release: the repository, and the closed-loop runs of Figs. 6 to 9 as data for other programs.
-
-Its folder `runs` has, per figure, the car on its route as an FMU, and per controller a CSV with one row per
-millisecond: the four torque commands, named as the inputs of the FMU, and its outputs `front.y` and `rear.y` before the
-step with these torques. Stepped by 1 ms with the torques of a file, the FMU gives its displacements to the last digit.
-"""
+"""Archive of a release: the repository, and the closed-loop runs of Figs. 6 to 9 as data for other programs. Its folder
+`runs` has, per figure, the car on its route as an FMU, and per controller a CSV with one row per millisecond: the four
+torque commands, named as the inputs of the FMU, and its outputs `front.y` and `rear.y` before the step with these
+torques. Stepped by 1 ms with the torques of a file, the FMU gives its displacements to the last digit."""
 
 import subprocess
 from pathlib import Path
@@ -29,9 +27,10 @@ FIGURES = {
 
 
 def exchanged(scenario: Scenario, controller: str) -> pd.DataFrame:
-    """Simulate a controller with the parameters tuned for perfect measurements; returns one row per millisecond.
-    `controller` is a key of `registry.CONTROLLERS` or "nmpc_r10" (R of NMPC times 10). Columns: t_s (s), torque
-    commands of the wheels as inputs of the FMU (N m), lateral displacements front.y and rear.y (m)."""
+    """Simulate a controller with the parameters tuned for perfect measurements, and return what it and the car
+    exchange, to check the car's FMU (`export_fmu`), one row per millisecond. `controller` is a key of
+    `registry.CONTROLLERS` or "nmpc_r10" (R of NMPC times 10). Columns: t_s (s); torque commands named as the inputs of
+    the FMU, tau_front_le to tau_rear_ri (N m); displacements front.y, rear.y (m)."""
     name, factor = ("nmpc", 10.0) if controller == TEN_TIMES else (controller, 1.0)
     tuned = parameters(name)
     series = Experiment(scenario, name, parameters=with_r_times(tuned, factor) if "r" in tuned else tuned).run().series

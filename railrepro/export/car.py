@@ -35,8 +35,9 @@ def export_fmu(
 
 
 def car_fmu(car: component.SteppedCar, speed: float, route_text: Callable = constant) -> Fmu:
-    """Make the `Fmu` of a car with its initial speed (m/s). `route_text` makes the C source that defines the array of
-    cells of the route from its name and values."""
+    """Make the `Fmu` of a car with its initial speed (m/s). `route_text` is a function (name, array) -> C source that
+    defines the array; it gets "CELLS" and `Route.cells`, numbers of the route per 0.5 m. The default is `constant`; the
+    live page passes one whose array it fills at run time."""
     parameters = variables(equations.CarParameters, car.parameters)
     parameters.append(variable("speed", speed, above(0.0, component.LARGEST_SPEED, "m/s")))
     inputs = [Variable(name, 0.0, "N m", -component.LARGEST_TORQUE, component.LARGEST_TORQUE) for name in INPUTS]

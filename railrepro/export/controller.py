@@ -1,9 +1,7 @@
-"""Export of controllers as C source without dependencies, and as FMUs (FMI 2.0) for co-simulation.
-
-The export contains the route, the 1 kHz law of both gears (lateral law, adhesion law, allocation, with sensors also the
-filter) and slower controllers with their own period. Its inputs are outputs of the car's FMU, its outputs are the four
-torques. A master that steps the controller before the car, each by 1 ms, gives the trajectory of `simulate.run`.
-"""
+"""Export of controllers as C source without dependencies, and as FMUs (FMI 2.0) for co-simulation. The export contains
+the route, the 1 kHz law of both gears (lateral law, adhesion law, allocation, with sensors also the filter) and slower
+controllers with their own period. Its inputs are outputs of the car's FMU, its outputs are the four torques. A master
+that steps the controller before the car, each by 1 ms, gives the trajectory of `simulate.run`."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -72,8 +70,8 @@ class Export:
         return self.fmu().write(path, platforms)
 
     def fmu(self, route_text: Callable = constant) -> Fmu:
-        """Make the `Fmu` of the controller. InputError if it has no C source. `route_text` is a function (name, array
-        of cells) -> C source that defines the array; default `constant`."""
+        """Make the `Fmu` of the controller. InputError if it has no C source. `route_text` is a function (name, cells
+        of the route) -> C source that defines the array of this name; default `constant`."""
         lateral_law, factory = lateral.split(self.guidance)
         ends: dict[str, Any] = {"lateral_limit": DERAILED, "track_end": self.route.length, "stop_speed": -1.0}
         control = law.control_law(self.vehicle, lateral_law, sensors=self.sensors, **ends)

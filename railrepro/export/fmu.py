@@ -1,8 +1,6 @@
-"""From C source to an FMU (FMI 2.0) for co-simulation, for this platform and others.
-
-Car and controllers have their own C interface (type `fmu_t`, reset, begin, advance), to which fmi2.c adds the functions
-of the standard. All their run-time numbers are parameters of the FMU, with the range of their `data.Quantity`.
-"""
+"""From C source to an FMU (FMI 2.0) for co-simulation, for this platform and others. Car and controllers have their own
+C interface (type `fmu_t`, reset, begin, advance), to which fmi2.c adds the functions of the standard. All their
+run-time numbers are parameters of the FMU, with the range of their `data.Quantity`."""
 
 import io
 import math
@@ -50,8 +48,9 @@ class Variable:
 
 
 def variable(name: str, value: float, note: Any = None) -> Variable:
-    """Make a `Variable` from its name, its value and a `note`: its unit, or a `data.Quantity` with unit and range. If
-    the range permits magnitudes above a bound with either sign, the variable may only have the sign of `value`."""
+    """Make a `Variable` from its name, its value and a `note`: its unit, or a `data.Quantity` with unit and range. A
+    range of magnitudes low < |x| <= high has two parts; FMI knows only one minimum and maximum, so the `Variable` gets
+    the part with the sign of `value`."""
     note = between(0.0, 1.0) if note is bool else note
     if not isinstance(note, Quantity):
         return Variable(name, float(value), note if isinstance(note, str) else "")
@@ -94,7 +93,7 @@ def constant(name: str, values: np.ndarray) -> str:
 @dataclass(frozen=True)
 class Fmu:
     """Content of the FMU of a car or a controller: outputs, inputs and parameters in the order of the C arrays; `text`,
-    the C source; `counter`, name of the integer output FMU_COUNT, () for none."""
+    the C source; `counter`, name of an integer output that counts events, as ("fallbacks",), () for none."""
 
     name: str
     description: str
@@ -102,8 +101,9 @@ class Fmu:
     inputs: Sequence[Variable]
     parameters: Sequence[Variable]
     text: str
-    """C source with call.h, generated functions and `numbers_text`. It defines the type fmu_t, its members FMU_INPUTS,
-    FMU_OUTPUTS and FMU_PARAMETERS, the macro FMU_COUNT and the functions reset, begin and advance."""
+    """C source with call.h, generated functions and `numbers_text`. It defines the type fmu_t, macros FMU_INPUTS,
+    FMU_OUTPUTS and FMU_PARAMETERS that name its arrays, and FMU_COUNT(u), the value of `counter`, 0 for none; of an
+    fmu_t *u, reset(u) to the start values, begin(u) with the present parameters, and advance(u, steps of 1 ms)."""
     counter: tuple[str, ...] = ()
 
     def write(self, path: Path | str, platforms: Sequence[str] | None = None) -> Path:

@@ -1,8 +1,6 @@
 """The live page: car and controllers as WebAssembly in one HTML file that needs neither network nor installation.
-
 `python -m railrepro live` (`make live`) writes build/live/index.html. Its JavaScript (folder page) steps the C source
-of the FMUs. With the committed values its results equal those of `simulate` bit for bit.
-"""
+of the FMUs. With the committed values its results equal those of `simulate` bit for bit."""
 
 import base64
 import hashlib
@@ -75,7 +73,8 @@ def content() -> dict:
     - "car": its "module", "parameters", "outputs", and the names "measured" by controllers;
     - "controllers": name -> "label", "module", "parameters";
     - "figures": scenario -> "title", "cells", "speed_kmh", "stop_kmh", "set_point", "end" (m), "stride" (ms between
-      rows of a curve), "force" (kN, largest demand), "committed": controller -> curves "y", "p" (m).
+      rows of a curve), "force" (kN, largest demand), "committed": controller -> curves "y", "p" (m), simulated here
+      with the values in the repository, with which the page compares its own runs.
     """
     scenarios = {name: load_scenario(name) for name in FIGURES.values()}
     routes = {name: scenario.route() for name, scenario in scenarios.items()}

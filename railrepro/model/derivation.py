@@ -112,8 +112,9 @@ def derivatives_first(energies: tuple, dependent: dict) -> sp.Matrix:
 
 
 def constraints_first(energies: tuple, dependent: dict) -> sp.Matrix:
-    """Left sides of Lagrange's equations of path and yaw angle, shape (2, 1), in the order that the paper prints
-    (erratum D1): constraints first, `dependent` rate -> expression, into `energies` (kinetic, potential, damping)."""
+    """Left sides of Lagrange's equations of path and yaw angle, shape (2, 1), by the paper's order of steps (erratum
+    D1): the constraints are inserted into the `energies` (kinetic, potential, dissipation) before Lagrange's equations
+    are applied. `dependent` maps each dependent rate to its expression, see `constraints`."""
     t, v, d = energies
     reduced, free = (t.subs(dependent), v, d.subs(dependent)), {xd: xdd, psid: psidd}
     return sp.Matrix([lagrange(q, rate, reduced, free) for q, rate in ((x, xd), (psi, psid))]).subs(dependent)

@@ -13,7 +13,7 @@ from railrepro.vehicle.parameters import Vehicle
 
 NOMINAL = ("acceleration_per_torque", "partner", "m_CB")
 """Vehicle data of the forecast: acceleration per base torque (1/(kg m)), signed distance to the other gear (m), mass of
-the car body (kg)."""
+the car body (kg). Base torque is what both wheels of a gear have in common (N m)."""
 
 
 @dataclass(frozen=True)
@@ -26,12 +26,11 @@ class Forecast:
 
 
 def nominal_values(vehicle: Vehicle, gear: int, printed: bool = False) -> np.ndarray:
-    """Vehicle data for the forecast of a gear (0 front, 1 rear), shape (3,): acceleration per base torque (1/(kg m)),
-    signed distance to the other gear (m), mass of the car body (kg).
-
-    By default both wheels accelerate the vehicle mass and their own spin inertia. With `printed` one wheel accelerates
-    the mass alone, in the opposite direction (erratum D4).
-    """
+    """Vehicle data for the forecast of a gear (0 front, 1 rear), shape (3,), in the order of `NOMINAL`: acceleration of
+    the car per base torque u_d, the torque common to both wheels of a gear (1/(kg m)); distance to the other gear,
+    negative if that is behind (m), for the heading of the car body; mass of the car body (kg), a model parameter. By
+    default both wheels accelerate the vehicle mass and their own spin inertia. With `printed` one wheel accelerates the
+    mass alone, in the opposite direction (erratum D4)."""
     gain = 2 / (vehicle.wheel.radius * vehicle.effective_longitudinal_mass)
     if printed:
         gain = -1 / (vehicle.wheel.radius * vehicle.longitudinal_mass)
@@ -42,9 +41,10 @@ def nominal_values(vehicle: Vehicle, gear: int, printed: bool = False) -> np.nda
 def functions() -> tuple[ca.Function, ca.Function]:
     """Make two CasADi functions of the forecast at a time t (s) ahead, in SI units. Source: eqs. (34) and (14), (15).
 
-    The first maps (state x_hat[6], base torque u_d, t, nominal[3] of `NOMINAL`) to the track coordinates of this gear
-    and of the other one [2]. The second maps (x_hat, u_d, t, nominal, here, there), with the rows of `Route.cells` at
-    these two coordinates, to x_d[6] and theta[9] as in `Forecast`.
+    The first maps (state x_hat[6]; base torque u_d of each wheel, held over t; t; nominal[3], acceleration per torque,
+    distance to the other gear and body mass, as from `nominal_values`) to the track coordinates of this gear and of the
+    other one [2]. The second maps (x_hat, u_d, t, nominal, here, there), with the rows of `Route.cells` at these two
+    coordinates, to x_d[6] and theta[9] as in `Forecast`. Heading and curvature at the car body are means of both gears.
     """
     x_hat, u_d, t = ca.SX.sym("x_hat", len(STATES)), ca.SX.sym("u_d"), ca.SX.sym("t")
     vehicle = ca.SX.sym("nominal", len(NOMINAL))

@@ -55,9 +55,11 @@ def _creep(vehicle: Vehicle, middle: dict[str, float], steepening: float) -> tup
 
 def lateral_model(vehicle: Vehicle, speed: float) -> tuple[np.ndarray, ...]:
     """Build the lateral model of a running gear at a speed (m/s): x' = a x + b du + e known + d unknown (SI), du the
-    differential torque. Returns a (6, 6), b (6,), e (6, 7), d (6, 2). x: displacement y, velocity vy, yaw angle psi,
-    yaw rate r, speed difference E, torque tau. known: track accelerations, angles and rail offset, in the order of
-    `KNOWN`. unknown: force, moment."""
+    differential torque: added to the left motor, subtracted from the right one. Returns a (6, 6), b (6,), e (6, 7), d
+    (6, 2). x (`STATES`): displacement y, velocity vy, yaw angle psi, yaw rate r, E (half of left minus right wheel
+    speed, less its part by the curve), motor torque tau. known (`KNOWN`), of the track: lateral acceleration by cant
+    and curve (m/s2), yaw acceleration (rad/s2), roll rate (rad/s), heading against the car body (rad), its rate
+    (rad/s); offset of the rails (m), its rate (m/s). unknown: force (N) to the right and yaw moment (N m)."""
     names = (*STATES, "du", *KNOWN, *UNKNOWN)
     z = dict(zip(names, np.eye(len(names)), strict=True))  # each quantity is a row of factors of all of these
     gear, wheel, stage = vehicle.gear, vehicle.wheel, vehicle.suspension

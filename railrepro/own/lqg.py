@@ -50,14 +50,15 @@ _N, _RAIL, _RATE, _MODEL, _FREE = len(STATES), *(len(STATES) + k for k in (2, 3,
 
 class Design:
     """Kalman filters and regulator of a gear at one `speed` (m/s), in steps of 1 ms, for the `vehicle` that the
-    controller assumes. Without sensors (`loop` None) both filters assume ideal rails.
+    controller assumes. Of the two filters one assumes ideal rails, the other rough ones; a run weights them by how well
+    they predict the readings. Without sensors (`loop`, their errors and delays, is None) both assume ideal rails.
 
     Attributes:
         a, b, e (ndarray, shapes (10, 10), (10,), (10, 7)): Model over 1 ms, x+ = a x + b du + e known. x has the six
             states `gear_model.STATES` (displacement y to torque tau), unknown force and moment, lateral offset of the
             rails (m) and its rate (m/s).
         delay (int): Time from a reading to the torque (ms); 0 without sensors.
-        sent (int): Number of torques that are delayed or act, at least 1.
+        sent (int): Number of last torques that the regulator knows, on their way to the motor or acting: max(delay, 1).
         rails (tuple of float): Amplitude A of the rail spectrum in both filters (m rad).
         read (ndarray, shape (3, 12)): Maps x and the biases of psi and r to the readings of y, psi and r.
         noise, drift (ndarray, shapes (3,), (2,)): Standard deviations of the readings; random walk of the two biases
@@ -116,9 +117,10 @@ class Design:
 
     def regulator(self) -> tuple[np.ndarray, np.ndarray]:
         """Design the LQ regulator: it sets the change d of the torque per ms (N m) and minimises, summed over all ms,
-        y^2 + turn^2 speed / (100 m/s) r^2 + change d^2 (m2): displacement y over the rails minus set point (m,
-        unscaled), yaw rate r, weights of `LqgPreview`. Returns gains of d: (10 + sent,) for x, then the torques sent,
-        latest first; (points, 8) for the 7 known inputs and the set point, at points of the preview `TAP` apart."""
+        y^2 + turn^2 (speed / (100 m/s)) r^2 + change d^2 (m2). y is the displacement from the irregular rails minus set
+        point (m), r the yaw rate (rad/s); `LqgPreview` has turn and change. Returns gains of d: (10 + sent,) for x,
+        then the torques sent, latest first; (points, 8) for the 7 known inputs and the set point, at points of the
+        preview `TAP` apart."""
         n, h = _MODEL + self.sent, CONTROL_PERIOD
         a, b, error = np.zeros((n, n)), np.zeros(n), np.zeros(n)
         a[:_MODEL, :_MODEL], a[_MODEL, _MODEL], b[_MODEL] = self.a, 1.0, 1.0
@@ -159,11 +161,9 @@ def _on_taps(times: np.ndarray, factors: np.ndarray, taps: int) -> np.ndarray:
 
 
 def riccati(a: np.ndarray, b: np.ndarray, q: np.ndarray, units: np.ndarray) -> np.ndarray:
-    """Stabilising solution p (n, n) of the discrete algebraic Riccati equation, by doubling.
-
-    The system is x+ = a x + b u with a (n, n), b (n, m), the cost x' q x + u' u. `units` (n,), usual magnitudes of the
-    states, scale the equation. Source: Chu, Fan, Lin and Wang 2004, Int. J. Control 77, algorithm SDA.
-    """
+    """Stabilising solution p (n, n) of the discrete algebraic Riccati equation, by doubling. The system is x+ = a x + b
+    u with a (n, n), b (n, m), the cost x' q x + u' u. `units` (n,), usual magnitudes of the states, scale the equation.
+    Source: Chu, Fan, Lin and Wang 2004, Int. J. Control 77, algorithm SDA."""
     a, b, p = a * units / units[:, None], b / units[:, None], q * np.outer(units, units)
     g, one = b @ b.T, np.eye(len(a))
     for _ in range(20):  # 2^20 periods
@@ -200,8 +200,7 @@ def _source(delay: int, taps: int) -> tuple[str, dict[str, int]]:
 @lru_cache
 def library(delay: int, taps: int) -> tuple[ctypes.CDLL, Any]:
     """Compile lqg.c, the controller, for a delay from reading to torque (ms) and a number of points of the preview.
-    Returns the loaded shared object, and the ctypes class of `lqg_t`, the struct with the controller's design and
-    memory."""
+    Returns the loaded shared object, and the ctypes class of `lqg_t`, the struct with design and memory."""
     text, sizes = _source(delay, taps)
     loaded = codegen.library((), codegen.PREAMBLE + text)
     loaded.lqg_sample.restype = ctypes.c_double
@@ -259,10 +258,11 @@ class LqgGear:
 @table
 class LqgPreview:
     """Factory of LQG controllers with preview, as `guidance` of `simulate.run`. The weights of the regulator, `change`
-    of squared torque change per ms and `turn` of the yaw rate at 100 m/s, are relative to y in metres. The Kalman
-    filters assume random walks of unknown side `force` and yaw `moment` (standard deviations after 1 s), noise `twist`
-    of the torque rate and an amplitude of the spectrum of rough `rails`. Times (s): drift of biases (`settle`),
-    forgetting of old readings (`memory`), length of the `preview`. Notebook `12_lqg` derives the values."""
+    of squared torque change per ms and `turn` of the yaw rate at 100 m/s, are relative to y in metres. Of the Kalman
+    filters are `force` and `moment` (unknown side force and yaw moment walk at random by these standard deviations in 1
+    s), `twist` (white noise of the torque rate), `rails` (amplitude of rough ones), `settle` (the longer, the slower a
+    bias may drift) and `memory` (the longer, the slower old readings are forgotten). The controller knows track and set
+    point over the time `preview`. Notebook `12_lqg` derives the values."""
 
     change: Annotated[float, between(1e-13, 1e-3, "m2/(N m)2")] = 8e-10
     """Weight rho of the squared change of torque per millisecond, relative to that of y (m2/(N m)2)."""

@@ -30,7 +30,8 @@ class Case:
 
 @dataclass(frozen=True)
 class Traces:
-    """Time series of single wheels from `simulate`: arrays with a row per ms and a column per wheel."""
+    """Series of single wheels from `simulate`, a row per ms, a column per wheel. `segment`: 1 raises the torque
+    (adhesion below its set point), 2 holds it (near), 3 lowers it (above, or past the maximum)."""
 
     adhesion: Annotated[Scalar, "-", "f_x, longitudinal force over wheel load, traction-positive"]
     slip: Annotated[Scalar, "-", "s_x = (v - w r)/v"]

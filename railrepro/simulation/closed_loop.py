@@ -75,8 +75,9 @@ class ClosedLoop:
         parameters[:] = codegen.for_c("control: gains", control.gains, parameters.shape)
 
     def run(self, n: int) -> np.ndarray:
-        """Advance by n control cycles of 1 ms, or less if a limit of `margins` is reached, as it is in the last row
-        then. Returns an array with a row per cycle, taken before the car advances, and the columns `columns` (SI)."""
+        """Advance by n control cycles of 1 ms, or fewer if a limit of `margins` is reached. Returns an array with a row
+        per cycle and the columns `columns` (SI): outputs of the car and what the law answers to them, before the car
+        advances. If a limit ends the run, the last row is at the limit, with the answer of the law."""
         require("n", n, between(0, math.inf), whole=True)
         self.car.c.period = CONTROL_PERIOD / self.car.c.substeps  # `SteppedCar.step` may have had another one
         blocks, block = [np.empty((0, len(self.columns)))], 1

@@ -61,10 +61,12 @@ def gear_series(series: pd.DataFrame, gear: str = "front", stride: int = 1) -> p
     """Select every `stride`-th row of a series, with t_s (s) and the quantities of one running gear (SI).
 
     Columns for the front gear: front.p and front.v along the track; front.y and its set point front.y_ref; yaw angles
-    front.psi_Ax (absolute), front.psi_TrAx (against the track); torques front.du, front.u_d, front.tau_long; adhesion
-    set point front.f_star; front.segment of the adhesion law; torque, adhesion and slip of each wheel, such as
-    front_ri.tau, front_ri.adhesion, front_ri.sx. Two are added to those of the series: front.creep_angle between
-    heading and motion (rad), and the lateral error front.error (m).
+    front.psi_Ax (absolute), front.psi_TrAx (against the track); torques per wheel: front.du (differential, added to the
+    left motor and subtracted from the right), front.u_d (base torque, which the adhesion law sets for traction or
+    braking), front.tau_long (what of u_d the torque limit leaves beside du); adhesion set point front.f_star;
+    front.segment of the adhesion law; torque, adhesion and slip of each wheel, such as front_ri.tau, front_ri.adhesion,
+    front_ri.sx. Two are added to those of the series: front.creep_angle between heading and motion (rad), and the
+    lateral error front.error (m).
     """
     rows = series.iloc[::stride]
     creepage = Part(rows, f"{gear}_ri").nu_y + Part(rows, f"{gear}_le").nu_y
@@ -148,12 +150,10 @@ def stopping_distance(series: pd.DataFrame) -> float:
 
 
 def summary(series: pd.DataFrame) -> dict[str, tuple[float, str]]:
-    """Compute the lateral metrics of a run as a dict: name -> (value, unit).
-
-    Root mean squares: rmse_y and rmse_y_rear of y - y* (front, rear gear), followed_rmse_y with y from the irregular
-    rails, rail_rmse_y of this y alone (m), effort_du of the torque du, activity_du above 5 Hz (N m). delay of y behind
-    y*, largest_error |y - y*|, mean_error_last_third (of the rows) (m). All but rmse_y_rear are of the front gear.
-    """
+    """Compute the lateral metrics of a run as a dict: name -> (value, unit). Root mean squares: rmse_y and rmse_y_rear
+    of y - y* (front, rear gear), followed_rmse_y with y from the irregular rails, rail_rmse_y of this y alone (m),
+    effort_du of the torque du, activity_du above 5 Hz (N m). delay of y behind y*, largest_error |y - y*|,
+    mean_error_last_third (of the rows) (m). All but rmse_y_rear are of the front gear."""
     error, front = lateral_error(series), Part(series, "front")
     return {
         "rmse_y": (_rms(error), "m"),

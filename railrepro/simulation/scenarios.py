@@ -125,8 +125,10 @@ class Scenario:
 
     def route(self, irregularities=None, line=None) -> route.Route:
         """Make the `Route` along the track of the scenario, of the length `end_m`. InputError if the track is shorter.
-        `irregularities` and `line` (a planned set point) are as in `railrepro.track.route.lay`. A warning says where
-        more than 1.5 m/s2 of lateral acceleration remain unbalanced at the initial speed."""
+        Without `irregularities`, a DataFrame with p_m, lateral_m, vertical_m, crosslevel_rad and gauge_m, the rails are
+        ideal. `line`, added to the set point, is a pair of arrays as from `preview.plan`: coordinates (m), shape (m,);
+        set point (m) and its first three derivatives there, shape (4, m). A warning says where more than 1.5 m/s2 of
+        lateral acceleration remain unbalanced at the initial speed."""
         left, right = map(np.transpose, self.poor_shares)
         poor = (lambda p: np.interp(p, *left), lambda p: np.interp(p, *right))
         starts, forces = np.transpose([(-np.inf, 0.0), *self.force_kN])
@@ -147,7 +149,8 @@ class Scenario:
         return replace(laid, length=self.end_m)
 
     def track_file(self) -> str:
-        """Return the name of the track, or the path of its CSV, in the checkout or else from the working folder."""
+        """Return `track` for `load_track`: unchanged for a name; for a CSV its path in the checkout, or unchanged if
+        the checkout does not have it, so that it is read from the working folder."""
         file = paths.source(self.track)
         return str(file) if self.track.endswith(".csv") and file.is_file() else self.track
 

@@ -127,11 +127,14 @@ def compare(
             R of NMPC or MPC) and fields of `Experiment`.
         setting (str or list): Conditions for which the controllers were tuned: "paper", exact measurements; "loop",
             sensors with noise and delays, which the runs then have, too.
-        car (mapping, optional): Name -> `World`, each with its own car, controllers and scenarios.
+        car (mapping, optional): Name -> `World`: a changed car, parameters of all `controllers` and sensors, as
+            `replace(world(["ndi"]), vehicle={"body.mass": 3e4})`. It replaces noise_seed and setting, which is only a
+            label then.
         solver (str): Solver of NMPC: rti, gauss_newton or ipopt.
         noise_seed (int): Random seed of the sensors in the setting "loop".
         stride (int): The series have every n-th control cycle (1 ms).
-        changes: Fields of `Scenario`, each a value or a list of values; and fields of `Experiment` for all runs.
+        changes: Fields of `Scenario`, as speed_kmh=[80, 400], each a value or a list; fields of `Experiment` for all
+            runs, as plant={"drive.lag": 0.01} or ride=True.
     """
     last = "case" if isinstance(controllers, Mapping) else "controller"
     controllers = [controllers] if isinstance(controllers, str) else controllers

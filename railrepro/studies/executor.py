@@ -1,9 +1,7 @@
-"""Parallel studies: tasks that run in threads, and simulations that processes or a Dask cluster compute for them.
-
-A thread of `ordered_map` reads results from `store`, and hands what is missing to a process with `work`. Other threads
+"""Parallel studies: tasks that run in threads, and simulations that processes or a Dask cluster compute for them. A
+thread of `ordered_map` reads results from `store`, and hands what is missing to a process with `work`. Other threads
 run only while it waits, because two threads must not use CasADi's objects at a time. Results do not depend on the
-number of processes or the cluster, because random seeds belong to the task.
-"""
+number of processes or the cluster, because random seeds belong to the task."""
 
 import multiprocessing
 import os
@@ -128,10 +126,12 @@ def _pools(apart: bool) -> Iterator[list[futures.Executor]]:
 def ordered_map(task: Callable, arguments: Sequence, title: str, quiet: bool = False, apart: bool = False) -> list:
     """Call `task` with each of `arguments` in parallel; returns the results in the order of the arguments.
 
-    Each call runs in a thread; what it calls by `work` runs in a process of `executor`. With up to 4 arguments, or one
-    process, all is computed in this process. With `apart` each thread has a local process of its own, which ends with
-    the study: for code that may end its process or never return. `title` names the progress bar, `quiet` leaves it out.
-    A task must not call `ordered_map`. InputError when a process ended or imported another version of railrepro.
+    Each call runs in a thread; what it calls by `work` runs in a process: of a pool on this machine (`workers` of
+    them), or of the Dask cluster in the environment variable RAILREPRO_DASK. Without a cluster, up to 4 arguments (any
+    number if `workers` is 1) are computed in this process, unless a pool runs already. With `apart`, also for few
+    arguments, each thread has a local process of its own, which ends with the study: for code that may end its process
+    or never return; a cluster ignores `apart`. `title` names the progress bar, `quiet` leaves it out. A task must not
+    call `ordered_map`. InputError when a process ended or imported another version of railrepro.
     """
     assert not hasattr(_around, "pool"), "a task would wait for itself"
     local = not apart and not os.environ.get("RAILREPRO_DASK") and not _processes.cache_info().currsize

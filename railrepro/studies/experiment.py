@@ -39,11 +39,12 @@ class Experiment:
         controller: Key of `registry.CONTROLLERS`, such as "nmpc", "ltv_mpc" or "ndi".
         label: Column -> value, added to the row of metrics and to the series, to tell runs apart.
         parameters: Tuning parameters by name (data/tuning.toml); None takes the tuned set of `setting`.
-        options: Arguments of a predictive controller, as {"solver": "rti"}, see `registry.guidance`.
-        changes: Changed fields of the controller's settings (`MPCSettings`, `NDI`), see `registry.guidance`.
+        options: Arguments of MPC: {"solver": "rti"}, "gauss_newton" or "ipopt" (NMPC); {"printed": True} (LTV-MPC).
+        changes: Changed fields of the controller's settings (`MPCSettings`, `NDI`), as {"steps": 20} or {"pole": 40.0}.
         vehicle: Changed vehicle parameters, dotted key -> value as in `load_vehicle`, known to car and controllers.
         plant: Changed parameters of the simulated car that its controllers do not know; keys as in `vehicle`.
-        adhesion: Settings of the adhesion law (slip control); None takes its defaults, or those that the sensors need.
+        adhesion: Settings of the adhesion law (slip control). None: its defaults; with sensors, whose noise needs
+            slower filters and a larger dead zone, those of [adhesion] in data/sensors.toml.
         fixed_share: Fraction of the torque limit reserved for guidance (-); 0 is the paper's allocation.
         alignment: Alignment of a track in place of that of the scenario; None keeps it.
         irregular: Irregular rails: spectrum, seed and local defects, the arguments of `rough_track` besides p, as
@@ -141,10 +142,14 @@ class Experiment:
     def values(self, run: simulate.Run) -> dict:
         """Metrics of a run, in SI units, as a dict from name to value.
 
-        Keys: rmse_y, delay, effort_du, … of `metrics.summary` (NaN if the run failed); largest_slip, stopping_distance,
-        … of `metrics.longitudinal`; with `ride`, those of `ride.ride_summary`; failed (bool); failed_at_m (NaN unless
-        failed); ended, why the run ended (text); warnings (text); fallbacks, number of samples of both gears in which a
-        predictive controller found no solution.
+        Of the front gear, NaN if the run failed (m, torques N m): RMS of y - y* (rmse_y, of the rear gear rmse_y_rear),
+        of y from the irregular rails minus y* (followed_rmse_y), of y from these rails (rail_rmse_y), of the
+        differential torque du (effort_du) and of du above 5 Hz (activity_du); largest |y - y*| (largest_error), mean of
+        y - y* in the last third (mean_error_last_third), distance by which y trails y* (delay). Further: largest_slip
+        of all wheels (-); stopping_distance (m), the distance driven; with a force demand, utilisation of the adhesion
+        (-); failed (bool); failed_at_m (NaN unless failed); ended, why the run ended (text); warnings (text);
+        fallbacks, number of samples of both gears in which a predictive controller found no solution; with `ride`,
+        forces and comfort from `ride.ride_summary`, as y_over_q.
         """
         vehicle, series = self._surroundings().car, run.series
         values = metrics.summary(series)

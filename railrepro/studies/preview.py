@@ -11,8 +11,8 @@ from railrepro.data import InputError, above, between, require
 def known(frame: pd.DataFrame, amplitude_error: float = 0.0, localisation_error_m: float = 0.0) -> pd.DataFrame:
     """Irregularities as a controller knows them, in a table with the columns of `frame`, which has the true ones.
     `frame` (from `rough_track`) has evenly spaced p_m (m) and any channels. `amplitude_error` is relative: with 0.1
-    irregularities are known 10 % too large. `localisation_error_m` is how far ahead of its true coordinate a feature is
-    known (m). What would come from beyond the ends of `frame` is zero."""
+    irregularities are known 10 % too large. With `localisation_error_m` (m) a feature at p is known at p + error. What
+    would come from beyond the ends of `frame` is zero."""
     p, channels = frame["p_m"].to_numpy(), frame.drop(columns="p_m")
     true_p = p - localisation_error_m
     inside = (true_p >= p[0]) & (true_p <= p[-1])
@@ -32,13 +32,14 @@ def plan(
     """Plan the lateral set point between the ideal line and the rails, within the flangeway.
 
     It minimises sum (y - share lateral)^2 + smoothing_m^4 sum (y'')^2 subject to |y - lateral| <= limit + gauge / 2 at
-    every row, and begins and ends on the ideal line. InputError if no line does.
+    every row, and y = 0, the ideal line, in the first two and the last two rows. InputError if no line does, so in
+    these four rows |lateral_m| must be at most limit + gauge_m / 2.
 
-    `frame` has the true irregularities (`rough_track`): p_m, lateral_m, gauge_m; they end within the limit. A `share`
-    of 0 follows the ideal line, 1 the middle between the rails. The line is smoothed over `smoothing_m` (m); 0 for
-    none. `limit` is the lateral play of a wheel pair to either side between rails of nominal gauge (m). The other
-    arguments are errors of the controller's knowledge, see `known`. Returns track coordinates p (m), shape (n,), and
-    set point (m) with its first three derivatives (1, 1/m, 1/m^2) at p (cubic spline), shape (4, n).
+    `frame` has the true irregularities (`rough_track`): p_m, lateral_m, gauge_m (m). A `share` of 0 follows the ideal
+    line, 1 the middle between the rails. The line is smoothed over `smoothing_m` (m); 0 for none. `limit` is the
+    lateral play of a wheel pair to either side between rails of nominal gauge (m). The other arguments are errors of
+    the controller's knowledge, see `known`. Returns track coordinates p (m), shape (n,), and set point (m) with its
+    first three derivatives (1, 1/m, 1/m^2) at p (cubic spline), shape (4, n).
     """
     frame = known(frame, amplitude_error, localisation_error_m)
     require("planned line: share", share, between(0.0, 1.0))

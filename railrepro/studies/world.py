@@ -31,7 +31,8 @@ class World:
         return Experiment(scenario, self.driver(controller), **given)
 
     def driver(self, controller: str) -> str:
-        """Key of `registry.CONTROLLERS` for the name of a controller here: the same, unless a subclass changes it."""
+        """Key of `registry.CONTROLLERS` that `experiment` runs for `controller`: itself; `ProbeSetup`, where
+        "ltv_mpc_printed" stands for any LTV-MPC, may return "ltv_mpc"."""
         return controller
 
     def car(self) -> Vehicle:

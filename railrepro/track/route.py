@@ -1,10 +1,8 @@
-"""Routes: track geometry, irregularities, lateral set point, adhesion and force demand along a track.
-
-A route is a table of cells of uniform length. A cell holds values and derivatives at its start. Inside the cell, the
-geometry is a Taylor expansion, which is exact for straight, clothoid and arc; set point and irregularities are cubics.
-Irregularities have no kinks between cells, which would excite the contact springs. Plant and controllers read the same
-cells (paper eq. (3), theta and y*).
-"""
+"""Routes: track geometry, irregularities, lateral set point, adhesion and force demand along a track. A route is a
+table of cells of uniform length. A cell holds values and derivatives at its start. Inside the cell, the geometry is a
+Taylor expansion, which is exact for straight, clothoid and arc; set point and irregularities are cubics. Irregularities
+have no kinks between cells, which would excite the contact springs. Plant and controllers read the same cells (paper
+eq. (3), theta and y*)."""
 
 import reprlib
 from collections.abc import Callable
@@ -48,8 +46,11 @@ class Route:
     length that is not positive.
 
     Attributes:
-        cells (ndarray of float64, shape (n, len(COLUMNS))): One row per cell: values of `COLUMNS` (SI) at the start of
-            the cell; k letters d before a name mean the k-th derivative over p. Compiled code reads it; read-only.
+        cells (ndarray of float64, shape (n, len(COLUMNS))): One row per cell, values (SI) at its start; the index of a
+            column is `INDEX[name]`. Track: p (coordinate), psi (yaw), kappa (curvature), phi (roll), eps (pitch), x, y,
+            z (position). Irregularities: lateral, vertical, crosslevel, gauge. y_ref (set point), poor_le and poor_ri
+            (share of the poor adhesion set on each rail), force (demand per gear). dkappa is the derivative of kappa
+            over p, dy_ref, ddy_ref and dddy_ref are those of y_ref, and so on. Compiled code reads it; read-only.
         length (float): Track coordinate at which a run ends (m), by default that of the end of the track.
     """
 
@@ -132,8 +133,8 @@ def lay(
 
     Args:
         track (Track): Geometry of the track.
-        reference (casadi.Function, optional): Lateral set point p (m) -> y* (m), such as from the function `reference`;
-            with `line` up to 0.1 m.
+        reference (casadi.Function, optional): Lateral set point p (m) -> y* (m), such as from the function `reference`.
+            The set point in all, `reference` plus `line`, must be within 0.1 m.
         poor (pair of callables, optional): For the left and the right rail, p (m), shape (n,) -> share of the poor
             adhesion set, 0 to 1, shape (n,) or one number.
         force (callable, optional): p (m), shape (n,) -> demanded longitudinal force per running gear (N), traction

@@ -84,8 +84,8 @@ class Track:
 
     def interpolate(self, p) -> np.ndarray:
         """Track angles and their derivatives at track coordinates p (m, shape (n,)), shape (6, n). The rows are psi
-        (yaw, rad), dpsi_dp (rad/m), phi (roll, rad), dphi_dp (rad/m), eps (pitch, rad), deps_dp (rad/m). Where dphi_dp
-        or deps_dp jumps, the value is that behind the point. Source: eq. (3), without dp/dt."""
+        (yaw, rad), dpsi_dp (rad/m), phi (roll, rad), dphi_dp (rad/m), eps (pitch, rad), deps_dp (rad/m). At a jump the
+        derivative is the one towards larger p. Source: eq. (3), without dp/dt."""
         p, first = np.atleast_1d(np.asarray(p, dtype=float)), self._rows["p"][0]
         index = self._index(p)
         row = {name: values[index] for name, values in self._rows.items()}
@@ -176,25 +176,25 @@ def read_table(path: Path | str) -> pd.DataFrame:
     """Read a track from a CSV into a table like that from `build_table`, with integrated heading and positions.
 
     The file has one row per point; curvature, cant and inclination change linearly in between. A step of curvature is
-    two points 1 mm apart. Columns are separated by commas. Blank lines and lines that begin with # are skipped. Signs
-    are those of the module. Columns:
+    two points 1 mm apart. Columns are separated by commas. Blank lines and lines that begin with # are skipped:
 
-    - p_m: distance along the line, such as the chainage (m), increasing. `Track.chainage` is its first value,
-      at which the track coordinate is 0;
-    - dpsi_dp_1pm: curvature (1/m); or radius_m: radius (m), negative in a left-hand curve, inf on a straight;
-    - phi_rad: cant angle (rad); or cant_mm: height of the left rail above the right one (mm) on a base of 1.5 m;
-      default 0;
-    - eps_rad: inclination (rad), default 0;
-    - psi_rad: heading (rad), of which the first value is the initial heading, default 0;
-    - x_m, y_m, z_m, dphi_dp_1pm, deps_dp_1pm: optional.
+    - p_m: distance along the line, such as the chainage (m), increasing. `Track.chainage` is its first value, at which
+      the track coordinate is 0;
+    - dpsi_dp_1pm: curvature (1/m), or radius_m: radius (m), inf on a straight; positive in a right-hand curve;
+    - phi_rad: cant angle (rad), or cant_mm: height of the left rail above the right one (mm) on a base of 1.5 m;
+      positive if the left rail is higher, as in a right-hand curve; default 0;
+    - eps_rad: inclination (rad), positive uphill, default 0;
+    - psi_rad: heading (rad), growing to the right, of which the first value is the initial heading, default 0;
+    - x_m (forward at heading 0), y_m (right), z_m (down), dphi_dp_1pm, deps_dp_1pm: optional.
 
     Headings, positions and derivatives in the file are not used, but have to agree with the other columns: headings
     within 0.02 rad; positions relative to the first one within 0.1 m plus 2 % of the distance; derivatives within 1e-4
     rad/m of the slope before the point, behind it or between the two.
 
     InputError for a missing, unknown or doubled column, a cell that is no number, points that do not increase, columns
-    that disagree, and values that point to a wrong unit: a track shorter than `SHORTEST`, too large a magnitude, a peak
-    of curvature, cant or inclination of more than half the permitted value within 5 m.
+    that disagree, and values that point to a wrong unit: a track shorter than `SHORTEST`, a curvature above 0.02 1/m, a
+    cant above 0.3 rad or an inclination above 0.2 rad; a peak, whose magnitude exceeds those 2.5 m before and behind by
+    more than half of this limit.
     """
     file = data.location(path)
     text = _cells(file)

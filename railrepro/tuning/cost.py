@@ -15,9 +15,10 @@ from railrepro.tuning.task import Task
 
 def driven(run: simulate.Run, experiment: Experiment) -> store.Entry:
     """Compute the metrics of a run that `run_cost` needs; a function for `Experiment.measured`. Returns a pair (dict,
-    None). Means over both gears: rmse_y (RMS of y - y*, m), effort_du (RMS of du, N m), activity_du (RMS of du above 5
-    Hz, N m; NaN in a failed run). failed: whether the run failed or a wheel touched its flange; done: fraction of the
-    distance before that. With imperfect sensors y counts from the irregular rails, otherwise from the ideal track."""
+    None). Means over both gears: rmse_y (RMS of y - y*, m), effort_du (RMS of the differential torque du, added to the
+    left motor of a gear and subtracted from the right, N m), activity_du (RMS of du above 5 Hz, N m; NaN in a failed
+    run). failed: whether the run failed or a wheel touched its flange; done: fraction of the distance before that, 1
+    without failure. With imperfect sensors y counts from the irregular rails, otherwise from the ideal track."""
     sensed = bool(experiment.sensors) and not experiment.sensors.get("perfect", False)
 
     def mean(metric):
@@ -57,12 +58,10 @@ def missed(controller: str, task: Task, parameters: dict, speeds_kmh: Sequence[f
 
 
 def evaluate(controller: str, task: Task, parameters: dict, limit: float = np.inf) -> tuple[float, list[dict]]:
-    """Compute the cost (-) of tuning `parameters` in a task, the mean over its runs; returns a pair (cost, runs).
-
-    runs is a list of dicts, the last run of the task first, with the keys run (name), cost and the metrics of `driven`.
-    Once the mean exceeds `limit`, the remaining runs are left out and count as zero: the cost is then a lower bound. A
-    set below the least disk margin has the cost of `missed`; the first, tightest speed is checked before all runs.
-    """
+    """Compute the cost (-) of tuning `parameters` in a task, the mean over its runs; returns a pair (cost, runs). runs
+    is a list of dicts, the last run of the task first, with the keys run (name), cost and the metrics of `driven`. Once
+    the mean exceeds `limit`, the remaining runs are left out and count as zero: the cost is then a lower bound. A set
+    below the least disk margin has the cost of `missed`; the first, tightest speed is checked before all runs."""
     quick, number = CONTROLLERS[controller].quick, len(task.runs)
     tightest, others = task.margin["speeds_kmh"][:1], task.margin["speeds_kmh"][1:]
     if penalty := missed(controller, task, parameters, tightest):

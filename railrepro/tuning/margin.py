@@ -70,8 +70,10 @@ def sensitivity(
     """Measure the sensitivity S = 1 / (1 + L) at the differential torque of the front gear, on straight dry track.
 
     It compares a run with the disturbance `multisine` to one without. Returns the complex ratio of torque to
-    disturbance at `FREQUENCIES`, or None when a run fails or the loop is unstable. `law` is the guidance and `vehicle`
-    as in `simulate.run`. `sensors` are arguments of `sensors.readings`; their noise is equal in both runs and cancels.
+    disturbance at `FREQUENCIES`, or None when a run fails or the loop is unstable. `law` is a lateral controller as
+    from `registry.guidance`: an object with `torque(q)`, such as `NDI()`, or a factory, such as of NMPC. `vehicle` is
+    simulated and assumed by it, default data/vehicle.toml. `sensors` are arguments of `sensors.readings`; their noise
+    is equal in both runs and cancels.
     """
     end = (WINDOW + SETTLED + 0.1) * speed_kmh / 3.6
     scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=speed_kmh, end_m=end)

@@ -68,8 +68,7 @@ class Budget:
 class Cost:
     """Scales and weights of the cost of a run, 1e3 rmse_y / y_scale_mm + weight effort_du / du_scale_Nm +
     activity_weight max(activity_du / activity_Nm - 1, 0), or failure (2 - done) for a failed run. rmse_y is the lateral
-    error (m), effort_du the RMS of the differential torque, activity_du that above 5 Hz (N m), done the fraction
-    driven."""
+    error (m), effort_du the RMS of the differential torque, activity_du above 5 Hz (N m), done the fraction driven."""
 
     y_scale_mm: Annotated[Number, above(0.0, 1e3, "mm")]
     du_scale_Nm: Annotated[Number, above(0.0, 1e6, "N m")]
@@ -81,8 +80,7 @@ class Cost:
 
 @data.table
 class Margin:
-    """Least disk margin (-) that every tuned parameter set keeps at some speeds, in the order in which they are
-    measured."""
+    """Least disk margin (-) that every tuned parameter set keeps at some speeds, listed in the order of measuring."""
 
     least: Annotated[Number, between(0.0, 2.0)]
     speeds_kmh: tuple[Annotated[Number, between(10.0, 500.0, "km/h")], ...]
@@ -90,10 +88,10 @@ class Margin:
 
 @data.table
 class RunEntry:
-    """Run by which a tuning task judges, as in data/tuning.toml: a scenario by name, and what differs from it. `seed`
-    is that of the sensors' noise, `speed_kmh` None keeps the speed of the scenario. `irregular` has arguments of
-    `rough_track`, `plant` changed parameters of the car unknown to its controllers, `inverter` changed errors of the
-    inverters."""
+    """Run by which a tuning task judges, as in data/tuning.toml: a scenario by name, and what differs from it. The run
+    ends at the track coordinate `end_m`. `seed` is that of the sensors' noise, `speed_kmh` None keeps the speed of the
+    scenario. `irregular` has arguments of `rough_track`, `plant` changed parameters of the car unknown to its
+    controllers. `inverter` has errors of the inverters: delay (s), gain (torque over command, -)."""
 
     scenario: str
     end_m: Annotated[Number, between(1.0, 1e5, "m")]

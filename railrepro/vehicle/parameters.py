@@ -31,8 +31,9 @@ class Entry:
 
 @dataclass(frozen=True)
 class Parameter(data.Quantity):
-    """Unit and permitted range of a number with a source, the annotation of a field. In a file the number is an `Entry`
-    with this unit; a constructor takes the value alone."""
+    """Unit and permitted range of a number with a source, the annotation of a field: Parameter(low, high, unit) permits
+    low < x <= high, with `closed` also x = low. In a file the number is a table, an `Entry`, with this unit; the
+    constructor of the dataclass that has the field takes the value alone, as Wheel(radius=0.46, …)."""
 
     def __get_pydantic_core_schema__(self, source, handler):
         value = super().__get_pydantic_core_schema__(source, handler) if source is float else handler(source)

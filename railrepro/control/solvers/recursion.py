@@ -25,7 +25,8 @@ def recursion(variant: str, discretisation: str) -> tuple[ca.Function, ca.Functi
     - A, B, tuning: derivatives from `problem.dynamics`, tuning vector in the order of `problem.TUNING`;
     - side: active lateral bound, 1 (upper), -1 (lower) or 0 (none);
     - fixed, to_bound: du is to_bound (N m) if fixed is not 0, else feedback' dx + feed-forward;
-    - terms[4]: what the interior point method adds to half the second and first derivative by the torque, then y.
+    - terms[4]: what stands for the bounds in the interior point method, 0 in the active-set method. They are added to
+      half the second and half the first derivative of the cost by the torque, then to the same by the position y.
 
     Returns:
         terminal: (x[6], x_d[6], side, terms, tuning) -> P (6, 6), p[6] of the last stage.

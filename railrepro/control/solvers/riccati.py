@@ -29,8 +29,9 @@ _SOURCES = [Path(__file__).with_name(name).read_text(encoding="utf-8") for name 
 
 @lru_cache
 def functions(variant: str, discretisation: str) -> tuple[ca.Function, ...]:
-    """CasADi functions of prediction model, forecast and recursion that the C of `c_text` calls. `variant` of the model
-    and `discretisation` are as in `MPCSettings`."""
+    """CasADi functions, to be written as C before that of `c_text`, which calls them by name: preview_position and
+    preview_stage of the forecast, riccati_terminal, riccati_backward and riccati_forward of the recursion,
+    torque_limit. `variant` of the model and `discretisation` are as in `MPCSettings`."""
     return *forecast.functions(), *recursion(variant, discretisation), torque_limit()
 
 
@@ -66,17 +67,18 @@ def _compiled(variant: str, discretisation: str) -> tuple[ctypes.CDLL, Any, Any]
 
 
 class Horizon:
-    """Problem, trajectory and compiled solver of one predictive controller over L = `settings.steps` time steps.
-
-    The arguments `nominal` (3,) and `parameters` (14,) are vehicle data in the order of `model.forecast.NOMINAL` and
+    """Problem, trajectory and compiled solver of one predictive controller over L = `settings.steps` time steps. The
+    arguments `nominal` (3,) and `parameters` (14,) are vehicle data in the order of `model.forecast.NOMINAL` and
     `model.parameters.PARAMETERS`. Arrays are views of the memory in C (SI). Each problem starts from the active sets of
     the problem before.
 
     Attributes:
         x_hat (ndarray, shape (6,)): Measured state.
         x_d, theta (ndarray, shapes (L + 1, 6), (L + 1, 9)): Forecast of desired states and track parameters.
-        x, u (ndarray, shapes (L + 1, 6), (L,)): Trajectory of states and torques. `x[0]` may differ from `x_hat`.
-        plan (ndarray, shape (L,)): Differential torques of the plan (N m).
+        x, u (ndarray, shapes (L + 1, 6), (L,)): States and torques about which the model is linearised: in LTV-MPC a
+            centred ride with u = 0, in real-time iteration those for the next sample, x[0] as predicted, else x_hat.
+        plan (ndarray, shape (L,)): Differential torques that solve the problem (N m); plan[0] is applied. Without a
+            solution it is the plan of the sample before, one step later.
         stages (ndarray, shape (L + 1,)): All stages as a structured array, `stage_t` of riccati.c.
         c (ctypes.Structure), pointer: `horizon_t` of riccati.c, and a pointer to it for calls of `library`.
         library (ctypes.CDLL): The functions of riccati.c and planner.c.

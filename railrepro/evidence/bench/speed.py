@@ -1,7 +1,5 @@
 """Computation times of the solvers of the predictive controllers, and of the runs of a study, as ratios on one machine.
-
-Serves the paper's section Evaluation of Lateral Control (computation times).
-"""
+Serves the paper's section Evaluation of Lateral Control (computation times)."""
 
 import platform
 import time
@@ -59,7 +57,7 @@ class Recorder(NMPC):
 
 def record(name: str, settings: MPCSettings, vehicle: Vehicle, count: int = 32) -> Recording:
     """Simulate a scenario under NMPC with `settings` and return `count` successive problems from the middle of the run
-    on. `name` is the scenario in data/scenarios.toml; braking ends after 500 m."""
+    on. `name` is the scenario in data/scenarios.toml; the run of "braking" ends at 500 m, before the car stops."""
     scenario = scenarios.load_scenario(name)
     if name == "braking":
         scenario = scenario.but(end_m=500.0)
@@ -79,9 +77,11 @@ def tightened(recording: Recording) -> Recording:
 
 
 def solve_all(kind: str, recording: Recording, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-    """Solve the n problems in order by a solver of `KINDS`, each warm-started by the previous one as in closed loop.
-    Returns a tuple: planned differential torques over the L steps of the horizon (n, L) (N m); processor time per
-    problem, with forecast and preparation (n,) (s); iterations (n,); number of problems without a solution."""
+    """Solve the n problems in order, each warm-started by the previous one as in closed loop. `kind`, one of `KINDS`,
+    is "gauss_newton" (Newton iterations of NMPC until convergence), "rti" (one of them), "ipopt" (NMPC by Ipopt) or
+    "ltv_mpc" (one linear time-variant problem). Returns a tuple: planned differential torques over the L steps of the
+    horizon (n, L) (N m); processor time per problem, with forecast and preparation (n,) (s); iterations (n,); number of
+    problems without a solution."""
     first, torques = recording.problems[0], []
     limited = replace(vehicle, drive=replace(vehicle.drive, torque_limit=first.tau_max))
     given = limited, recording.route, 0, first.settings
@@ -94,13 +94,11 @@ def solve_all(kind: str, recording: Recording, vehicle: Vehicle) -> tuple[np.nda
 
 
 def solve_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
-    """Compare the solvers `KINDS` on recorded problems: one row per solver and recording.
-
-    Each of `SCENARIOS` is recorded under NMPC with `settings` and gives two recordings: as it is, and `tightened`.
-    Columns: solver; scenario; n, number of problems; median_ms, p95_ms and max_ms, time per problem (ms);
-    iterations_median; ratio_to_ipopt, of the median times (-); failures, number of problems without a solution;
-    largest_torque_difference, from the torques of ipopt over the torque limit (-).
-    """
+    """Compare the solvers `KINDS` on recorded problems: one row per solver and recording. Each of `SCENARIOS` is
+    recorded under NMPC with `settings` and gives two recordings: as it is, and `tightened` (bounds active). Columns:
+    solver; scenario; n, number of problems; median_ms, p95_ms and max_ms, time per problem (ms); iterations_median;
+    ratio_to_ipopt, of the median times (-); failures, number of problems without a solution; largest_torque_difference,
+    from the torques of ipopt over the torque limit (-)."""
     rows = []
     plain = [record(name, settings, vehicle) for name in SCENARIOS]
     recordings = [recording for one in plain for recording in (one, tightened(one))]
@@ -134,9 +132,10 @@ def horizon_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
 def study_times(
     controllers: Sequence[str] = ("ndi", "nmpc"), settings: Sequence[str] = (PAPER, LOOP), repeats: int = 5
 ) -> pd.DataFrame:
-    """Measure how long a run takes in tuning (processor time, no stored results): one row per controller and setting.
-    Columns: setting; controller; run_ms, a whole run, and loop_ms, the compiled closed loop in it (ms), both medians of
-    `repeats`, averaged over the runs of the tuning task; ratio, run_ms / loop_ms (-)."""
+    """Measure how long a run takes in tuning: one row per controller and setting ("paper" or "loop"). Each run of
+    data/tuning.toml for the setting is simulated anew `repeats` times, none is read from the store. Columns: setting;
+    controller; run_ms, processor time of a whole run, and loop_ms, of the compiled closed loop in it (ms), each the
+    median over repeats, then the mean over runs; ratio, run_ms / loop_ms (-)."""
     rows = []
     for setting, controller in product(settings, controllers):
         task, quick, tuned = load_task(setting=setting), CONTROLLERS[controller].quick, parameters(controller, setting)
@@ -173,9 +172,9 @@ def machine() -> str:
 
 
 def main() -> None:
-    """Command `bench`: measure computation times and write two tables to data/results: solve_times.csv, a row per
-    solver, scenario and setting, and horizon_times.csv, a row per solver and horizon. Prints both, and `study_times`.
-    """
+    """Command `bench`: measure computation times and write two tables to data/results: solve_times.csv (columns of
+    `solve_times` and setting), once with the weights of NMPC tuned in the setting "paper" and once in "loop", and
+    horizon_times.csv with those of "paper". Prints both, and `study_times`."""
     vehicle, of = load_vehicle(), {name: mpc_settings(parameters("nmpc", name)) for name in SETTINGS}
     solvers = pd.concat([solve_times(vehicle, settings).assign(setting=name) for name, settings in of.items()])
     tables = {"solve_times": solvers, "horizon_times": horizon_times(vehicle, of[PAPER])}

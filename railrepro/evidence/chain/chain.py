@@ -1,8 +1,6 @@
 """The chain of notebooks: which of them are stale and why, how they run, and which product (written file) each makes.
-
 notebooks/chain.toml declares what each notebook writes. What it reads is logged while it runs (`railrepro.paths`).
-Content, never time, decides what is stale. Notebooks run in any order, because none reads a product of another one.
-"""
+Content, never time, decides what is stale. Notebooks run in any order, because none reads a product of another one."""
 
 import hashlib
 import json
@@ -37,13 +35,10 @@ EDITED = "an input was edited while it ran"
 
 @data.table
 class Notebook:
-    """Notebook of the chain, a table [[notebook]] in notebooks/chain.toml.
-
-    `name` is its file name without ending, `writes` has the paths of its tables, `figures` the names of its figures
-    (figNN_name), `parameters` the values of its parameters cell, and `test_parameters` other values for tests.
-    `minutes` is its run time (min), `memory_gb` the peak memory of its processes (GB, None if not measured), and `seed`
-    the random seed that it uses, if any.
-    """
+    """Notebook of the chain, a table [[notebook]] in notebooks/chain.toml. `name` is its file name without ending,
+    `writes` has the paths of its tables, `figures` the names of its figures (figNN_name), `parameters` the values of
+    its parameters cell, and `test_parameters` other values for tests. `minutes` is its run time (min), `memory_gb` the
+    peak memory of its processes (GB, None if not measured), and `seed` the random seed that it uses, if any."""
 
     name: data.Name
     title: str
@@ -252,11 +247,13 @@ def _execute(notebook: Notebook, parameters: dict, staging: Path) -> tuple[Any, 
 
 def run(notebook: Notebook, parameters: dict, root: Path) -> Ran:
     """Execute a notebook and move its products below `root`, a folder that is the checkout or has the same layout.
+    Returns what it read, its time and memory (`Ran`).
 
     `parameters` are values for its parameters cell by name. TOML files in root/data replace those of data/. The
     executed notebook goes to build/notebooks, for another root to root/notebooks; a failed one is NAME.failed.ipynb.
-    InputError when a cell fails, a product was not written, a product of another notebook was read, or a sentence that
-    it prints (`report.sentences`) is false while notebook, parameters and inputs are as committed.
+    InputError when a cell fails, a product was not written, or a product of another notebook was read. Also when a cell
+    prints a sentence about results whose condition is false (`report.sentences`) although notebook, parameters and
+    inputs are as committed.
     """
     import nbformat
 
@@ -312,7 +309,9 @@ def _fault(notebook: Notebook, taken: Reads, staging: Path, false: list[str]) ->
 
 
 def refresh(notebook: Notebook) -> Ran:
-    """Run a notebook (errors as `run`) and record it for `last_run`; an input edited meanwhile leaves it stale."""
+    """Run a notebook in the checkout (errors as `run`) and record in its `stamp` what `last_run` reads: the `Ran` that
+    it returns, hashes of inputs and products. From this `why_stale` tells whether it must run again; `run` alone
+    records nothing. An input that is edited while it runs leaves it stale."""
     begin, before = time.time(), inputs(notebook, {})
     ran = run(notebook, notebook.parameters, paths.ROOT)
     after = inputs(chain()[notebook.name], ran.reads)

@@ -1,8 +1,6 @@
-"""Simulate what the paper's statements are about: a few runs of one car, and the metrics that the predicates read.
-
-The nominal results in each column of verdicts and the samples of the robustness study are probes, so that the same
-predicates (`statements`) judge them. Serves the paper's section Multi-Body Simulation Results.
-"""
+"""Simulate what the paper's statements are about: a few runs of one car, and the metrics that the predicates read. The
+nominal results in each column of verdicts and the samples of the robustness study are probes, so that the same
+predicates (`statements`) judge them. Serves the paper's section Multi-Body Simulation Results."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import astuple
@@ -67,11 +65,9 @@ Measured = Iterator[tuple[str, str, dict[str, float]]]
 
 def probe(world: ProbeSetup, parts: Iterable[str] = PARTS) -> dict[Key, float]:
     """Simulate the runs that judge the paper's statements, with the car and the controllers of `world`; returns
-    metrics, (scenario, controller, metric) -> value (SI).
-
-    `parts` are groups of runs, names from `PARTS` and `ONCE`. A failed run has the metric `failed` = 1 and few others;
-    rmse_y and stopping_distance of a braking run without a stop are inf.
-    """
+    metrics, (scenario, controller, metric) -> value (SI). `parts` are names of groups of runs: those of `PARTS`, such
+    as "loss" (Fig. 8), judge each car; those of `ONCE`, such as "lags" (slow drives), only some. A failed run has the
+    metric `failed` = 1 and few others; rmse_y and stopping_distance of a braking run without a stop are inf."""
     return {
         (scenario, controller, name): float(value)
         for part in parts
@@ -115,12 +111,11 @@ def entering(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def losing(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Measure a run of Fig. 8 (loss of adhesion). Returns (dict, None).
-
-    The dict has the metrics of `following`, `macro_slips` and `oscillation`; largest_slip of all wheels (-);
-    utilisation_late, adhesion of the front gear over its peak from p = 240 m on (-); flange, 1 if one touches a rail,
-    else 0; regular_deviation, `deviation` from 110 to 130 m (-). A failed run has only this and failed.
-    """
+    """Measure a run of Fig. 8 (loss of adhesion). Returns (dict, None). The dict has the metrics of `following`,
+    `macro_slips` and `oscillation`; largest_slip of all wheels (-); utilisation_late, adhesion of the front gear over
+    its peak from p = 240 m on (-); flange, 1 if one touches a rail, else 0; regular_deviation, mean deviation of the
+    adhesion from its set point, relative to it, from 110 to 130 m, where the set point is reached and below the peak
+    (-). A failed run has only the keys regular_deviation and failed."""
     (values, _), series = following(run, experiment), metrics.gear_series(run.series, stride=10)
     if not run.failed:
         scenario, car = experiment.scenario, experiment.car()
@@ -135,9 +130,9 @@ def losing(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def slipping(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Measure a run over a slippery patch. Returns (dict, None). Keys: largest_slip of all wheels (-); utilisation,
-    mean adhesion of the left front wheel on the patch over the peak there (-); regular_deviation before the patch (-);
-    failed."""
+    """Measure a run over a slippery patch (p = 300 to 500 m). Returns (dict, None). Keys: largest_slip of all wheels
+    (-); utilisation, mean adhesion of the left front wheel on the patch over the peak there (-); regular_deviation,
+    mean relative deviation of the adhesion from its set point before the patch, from 200 to 299 m (-); failed."""
     scenario, car, series = experiment.scenario, experiment.car(), metrics.gear_series(run.series, stride=10)
     patch = series[series["front.p"].between(*PATCH)]
     adhesion = float((np.sign(patch["front.f_star"]) * patch["front_le.adhesion"]).mean())
@@ -420,10 +415,12 @@ def macro_slips(series: pd.DataFrame, peak: float, slip: float) -> dict[str, flo
     """Count macro slips and approaches to the adhesion peak in a run of Fig. 8 from p = 240 m on.
 
     `series` is that of `metrics.gear_series`, `peak` and `slip` are adhesion and slip at the peak (-). A macro slip
-    begins where the slip of a wheel exceeds `slip`. Returns a dict: macro_slips, number of macro slips that begin more
-    than 0.135 s before the end; recovered, number of them in which, within 0.135 s, the base torque falls by a tenth
-    and the slip falls below `slip`; approaches, one before each macro slip and one after the last; approached, number
-    of approaches in which the adhesion reaches 0.9 `peak`. A last approach shorter than 110 m counts only if it does.
+    begins where the slip of a wheel exceeds `slip`. An approach is the stretch from 240 m or a macro slip to the next
+    macro slip or the end. Returns a dict: macro_slips, number of macro slips that begin more than 0.135 s (a tenth of a
+    wave of the set point) before the end; recovered, number of them in which, within 0.135 s, the base torque falls by
+    a tenth and the slip falls below `slip` (all of them by the paper); approaches, their number; approached, number of
+    those in which the adhesion reaches 0.9 `peak` (all by the paper). A last one shorter than 110 m that does not reach
+    it is left out.
     """
     rows = series[series["front.p"] >= REACHED]
     time, torque = rows["t_s"].to_numpy(), rows["front.u_d"].to_numpy()
@@ -464,12 +461,10 @@ def excessive_slip(scenario: Scenario, car: Vehicle) -> float:
 
 
 def nominal(settings: Iterable[str] = COLUMNS) -> pd.DataFrame:
-    """Simulate the runs that judge the statements on the nominal car: one row per metric of a run.
-
-    Each of `settings` is "paper", "loop" (with sensors), or "swarm" ("paper" with poles of NDI by particle swarm).
-    Columns scenario, controller, metric, value (in `unit`), unit, setting, swarm (rank of the parameters among tuning
-    runs by cost, 0 the final ones), seed (of the sensor noise; 0 without sensors).
-    """
+    """Simulate the runs that judge the statements on the nominal car: one row per metric of a run. Each of `settings`
+    is "paper", "loop" (with sensors), or "swarm" ("paper" with poles of NDI by particle swarm). Columns scenario,
+    controller, metric, value (in `unit`), unit, setting, swarm (rank of the parameters among tuning runs by cost, 0 the
+    final ones), seed (of the sensor noise; 0 without sensors)."""
     tasks = []
     for setting in settings:
         seeds = SEEDS if setting == LOOP else (0,)

@@ -24,7 +24,8 @@ class ProbeSetup(World):
         r_loss, r_brake (float): Factors on the weight R of NMPC in Fig. 8 and in Fig. 9 (-).
         r_second (float): Further factor on R for the second NMPC of Fig. 9 (-).
         brake_sweep (dict): Changed fields of the set point of Fig. 9, as {"period_end_m": 30.0}.
-        ltv (str): Controller that stands for LTV-MPC: "ltv_mpc_printed", or "ltv_mpc", which keeps its affine term.
+        ltv (str): Controller that stands for LTV-MPC: "ltv_mpc_printed", as in the paper without the affine term of
+            the linear model, or "ltv_mpc" with it.
     """
 
     amplitude_mm: float = 3.0
@@ -80,7 +81,8 @@ _CHOICES = {one.name for one in fields(ProbeSetup)} - {one.name for one in field
 
 
 def setting_of(column: str) -> str:
-    """Return the setting for which the controllers of `column` were tuned: "paper" also for "swarm", else `column`."""
+    """Return the setting by which to find the tuned sets of a column of verdicts ("paper", "swarm", "loop"): "paper"
+    also for "swarm", in which only the poles of NDI are others; else `column` itself."""
     return PAPER if column == SWARM else column
 
 

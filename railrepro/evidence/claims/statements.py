@@ -1,8 +1,6 @@
-"""Statements of the paper as predicates: a function and a rule for each, used by report, studies and tests.
-
-The function computes a number from `Evidence`. The rule in data/claims.toml has the limits between which the statement
-holds, and the reason for them. Serves the paper's section Multi-Body Simulation Results.
-"""
+"""Statements of the paper as predicates: a function and a rule for each, used by report, studies and tests. The
+function computes a number from `Evidence`. The rule in data/claims.toml has the limits between which the statement
+holds, and the reason for them. Serves the paper's section Multi-Body Simulation Results."""
 
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
@@ -121,11 +119,14 @@ class Evidence:
 class Statement:
     """Statement of the paper with the rule that judges it, one table of data/claims.toml.
 
-    A value (in `unit`) between `above` and `below` reproduces the statement, a value between `partly_above` and
-    `partly_below` does so partly. None is no limit. `reason` explains the limits. `statement` is what `section` of the
-    paper claims, `paper` the number printed there. `evidence` is a figure, as "fig06_curve_entry", or the path of a
-    table; `notebook` makes it. `control` names the wrong cars or controllers with which tests refute the statement,
-    joined by "; ". ValueError if the evidence does not exist, or for a statement without a limit.
+    Only the `kind` "statement" gets a verdict. Others are "calibrated" (a number of the paper that set a choice of
+    ours), "motivation" (no result of the paper) and "arithmetic" (true of any data). A value (in `unit`) between
+    `above` and `below` reproduces the statement, a value between `partly_above` and `partly_below` does so partly. None
+    is no limit. `reason` explains the limits. `statement` is what `section` of the paper claims, `paper` the number
+    printed there. `evidence` is a figure, as "fig06_curve_entry", or the path of a table; `notebook` makes it.
+    `control` names false results that the rule must refuse in a test, joined by "; ", such as "one controller thrice":
+    LTV-MPC and NDI have the results of NMPC. ValueError if the evidence does not exist, or for a statement without a
+    limit.
     """
 
     section: str
@@ -154,11 +155,9 @@ class Statement:
 
     def judge(self, finding: Finding) -> str:
         """Return the verdict on a finding: "reproduced", "tie", "partly" or "not reproduced", the first that applies.
-
         Reproduced: `value` is between `above` and `below` by more than a factor exp(tie). Tie: it is within this factor
         of a limit. Partly: `Finding.weaker` (without it `value`) is between `partly_above` and `partly_below` (without
-        both: `above` and `below`).
-        """
+        both: `above` and `below`)."""
         limits = self.above, self.below
         if _within(finding.value, *limits, finding.tie):
             return REPRODUCED
@@ -276,8 +275,7 @@ def _gyroscope(e: Evidence) -> float:
 
 
 def usual_times(e: Evidence, solver: str, column: str = "median_ms") -> pd.Series:
-    """Take a `column` of table solve_times for a solver: Series by scenario, without problems in which bounds are
-    active."""
+    """A `column` of table solve_times for a solver: Series by scenario, without problems in which bounds are active."""
     times = e.table("solve_times").query("solver == @solver")
     return times[~times["scenario"].str.contains("bounds")].set_index("scenario")[column]
 

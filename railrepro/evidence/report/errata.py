@@ -14,9 +14,10 @@ _TRIPLED = 2  # Relative change of the RMSE above which a run counts as lost
 
 
 def model_variants(scenarios: Sequence[Scenario], variants: Sequence[str]) -> pd.DataFrame:
-    """Simulate NMPC with printed errors in its prediction model, and with the printed torque limit (erratum D10).
-    `variants` are values of `MPCSettings.variant`. Returns one row of metrics per run (`run_all`) with the columns
-    scenario, variant ("D10" for the printed limit) and flange (whether a wheel touched its flange or lifted)."""
+    """Simulate NMPC with each of `variants` as its prediction model, and always also with the printed torque limit
+    (erratum D10). `variants` are values of `MPCSettings.variant`: "corrected", errata to keep as "D1" or "D1,D3", or
+    "printed" (all). Returns one row of metrics per run (`run_all`) with the columns scenario, variant ("D10" for the
+    printed limit) and flange (whether a wheel touched its flange or lifted)."""
     changed = {variant: {"variant": variant} for variant in variants} | {"D10": {"yielding": False}}
     tried = [*product(scenarios, variants), *product(scenarios, ["D10"])]
     runs = [Experiment(s, "nmpc", {"variant": v}, options={"solver": "rti"}, changes=changed[v]) for s, v in tried]

@@ -1,9 +1,7 @@
 """The report: REPLICATION.md, figures/README.md, codecheck.yml and the results in README.md, from templates in data/.
-
 data/theses.toml has sentences with the conditions under which they are true. A number in them is an expression such as
 `{{ q('paper', 'braking', 'ndi', 'stopping_distance', 'm') }}`, shown as a link to its table. Expressions may use the
-public members of `Page` and the names that its constructor adds.
-"""
+public members of `Page` and the names that its constructor adds."""
 
 import re
 import sys
@@ -154,7 +152,8 @@ class Page:
         return linked(self.e(setting, scenario, controller, metric), METRICS, unit)
 
     def sudden(self, metric: str, controller: str) -> list[float]:
-        """Metric (SI) of a controller in "paper": its four values, one per run with a sudden loss of adhesion."""
+        """Metric (SI) of a controller in "paper" in the four runs with a sudden loss of adhesion (`statements.SUDDEN`),
+        in this order: both rails in traction, both in braking, left rail in traction, left rail in braking."""
         return [self.e(PAPER, case, controller, metric) for case in statements.SUDDEN]
 
     def find(self, identity: str, setting: str) -> statements.Finding:
@@ -195,8 +194,7 @@ class Page:
         return float(statements.usual_times(self.nominal.evidence(PAPER), solver, column).median())
 
     def value(self, identity: str) -> str:
-        """Measured value of a statement as Markdown link "[value unit](its table)", that in "paper" if it differs by
-        setting."""
+        """Value of a statement, in "paper" if it differs by setting, as Markdown link "[value unit](its table)"."""
         headline = self.judged["setting"].isin(("", claims.HEADLINE))
         row = self.judged[(self.judged["id"] == identity) & headline].iloc[-1]
         return linked(number(row["measured_value"], row["unit"]), row["data"])

@@ -31,10 +31,11 @@ def experiments(
 ) -> list[Experiment]:  # fmt: skip
     """List the runs that compare the tuned controllers with perfect measurements ("paper") and with sensors ("loop").
 
-    `names` are controllers, `cases` keys of `CASES`; inversions with poles by the particle swarm (`BY_SWARM`) run in
-    "paper" only. Each controller has the parameters of several tuning runs: of the `swarms` with the lowest cost (None:
-    all). In "loop" the best ones run with all `noise_seeds` of the sensors, the others only with the first. `scale` is
-    a factor on the length of the runs (-). `stress` has changes of data/sensors.toml in cases that end with "stressed",
+    `names` are controllers. `cases` are keys of `CASES`, such as "curve_entry_T3": a scenario up to a coordinate.
+    Inversions with poles by the particle swarm (`BY_SWARM`) run in "paper" only. A controller was tuned several times,
+    by one swarm per seed. It runs with the parameters from `swarms` of these tunings, those of lowest cost (None: all).
+    In "loop" the best ones run with all `noise_seeds` of the sensors, the others only with the first. `scale` is a
+    factor on the length of the runs (-). `stress` has changes of data/sensors.toml in cases that end with "stressed",
     as {"inverter.gain": 1.2}.
     """
     runs = []

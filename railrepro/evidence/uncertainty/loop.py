@@ -1,9 +1,7 @@
 """Closed loop with sensors, over seeds that tuning has not seen: LQG with preview, rivals, and the bound of `limit`.
-
 Kinds of runs in loop_table.csv: `loop`, the runs of tuning with other seeds; `stressed`, the stress of tuning; `held
 out`, conditions that tuning never sees; `irregular`, rails of two classes from 80 to 400 km/h. Errors count from the
-set point at the true position of a running gear.
-"""
+set point at the true position of a running gear."""
 
 from collections.abc import Sequence
 from itertools import product
@@ -34,7 +32,9 @@ _PATCH = ((0.0, 0.0), (200.0, 0.0), (201.0, 1.0), (300.0, 1.0), (301.0, 0.0))
 
 
 def experiments() -> list[Experiment]:
-    """List the runs with sensors of data/results/loop_table.csv; their labels have the keys kind and case."""
+    """List the runs with sensors of data/results/loop_table.csv. Labels: kind, "loop" (as in tuning), "stressed" (late
+    and strong torques), "held out" (what tuning never sees) or "irregular" (rails of classes A and B, four speeds);
+    case, what is driven, as "curve_entry_T3" or "wheels 1.5 % smaller". Each runs with LQG and its rivals (`row`)."""
     ends = {"curve_entry_T1": 50.0, "curve_entry_T2": 200.0, _CURVE: 280.0, "curve_entry_T4": 330.0, _FAST: 250.0}
     runs = [run for name, end in ends.items() for run in row("loop", name, name, {"end_m": end})]
     short, sine, curve = {"end_m": 500.0}, {"end_m": 250.0}, {"end_m": 280.0}
@@ -66,8 +66,7 @@ def experiments() -> list[Experiment]:
 def row(kind: str, case: str, scenario: str, change: dict, **more) -> list[Experiment]:
     """Make the runs of one case of loop_table.csv: each controller of `COMPARED` (LQG with preview and its rivals) with
     each of `SEEDS` of the sensors; with the kind "irregular" three seeds, which also draw the rails. `kind` and `case`
-    label the runs, `scenario` is a name, `change` are fields of it to replace, `more` further fields of
-    `Experiment`."""
+    label the runs, `scenario` is a name, `change` are new values of its fields, `more` other fields of `Experiment`."""
     driven, runs = load_scenario(scenario).but(**change), []
     more |= {"label": {"kind": kind, "case": case}, "setting": LOOP}
     for name, seed in product(COMPARED, FEW if kind == "irregular" else SEEDS):
@@ -103,9 +102,9 @@ def followed(run: simulate.Run, _experiment: Experiment) -> store.Entry:
 def table(runs: Sequence[Experiment]) -> pd.DataFrame:
     """Run experiments in parallel and summarise them over the seeds: one row per kind, case and controller.
 
-    Columns kind, case, controller; seeds, number of runs; failed, number of failed runs; of the others error_mm,
-    rear_mm, activity_Nm as in `followed`, RMS or mean over the seeds, and spread_mm, standard deviation of error_mm
-    between seeds (mm); keys of `limit_of`.
+    Columns kind, case, controller; seeds, number of runs; failed, number of failed runs; over the seeds that did not
+    fail, error_mm and rear_mm, root mean squares of those of `followed` (mm), activity_Nm, the mean of its torque above
+    5 Hz (N m), and spread_mm, the standard deviation of error_mm (mm); keys of `limit_of`.
     """
 
     def driven(run: Experiment) -> dict:

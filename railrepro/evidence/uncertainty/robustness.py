@@ -1,7 +1,5 @@
-"""Robustness of the verdicts: all statements on cars sampled from the ranges that the paper leaves open.
-
-Finished runs are in the store, so an interrupted study resumes.
-"""
+"""Robustness of the verdicts: all statements on cars sampled from the ranges that the paper leaves open. Finished runs
+are in the store, so an interrupted study resumes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -87,11 +85,9 @@ def draw(count: int, settings: Sequence[str] = COLUMNS) -> list[Sample]:
 
 def evaluate(sample: Sample) -> dict:
     """Adjust the tuning of the paper's three controllers to a sampled car, then simulate the runs that judge the
-    statements, with another seed of the sensor noise than for the tuning.
-
-    Returns a dict. Keys: number and setting of the sample; profile ("cone", "s1002"); ltv (variant of LTV-MPC); each
-    name in `Sample.values`, with its value; "scenario/controller/metric", with metrics (SI) of `probe.probe`.
-    """
+    statements, with another seed of the sensor noise than for the tuning. Returns a dict. Keys: number and setting of
+    the sample; profile ("cone", "s1002"); ltv (variant of LTV-MPC); each name in `Sample.values`, with its value;
+    "scenario/controller/metric", with metrics (SI) of `probe.probe`."""
     world = sample.world(JUDGING)
     world = replace(world, parameters={name: _retuned(sample, name) for name in PAPER_TRIO})
     metrics = probe(world, (*PARTS, *ONCE) if sample.number < LONG[sample.setting] else PARTS)
@@ -101,11 +97,9 @@ def evaluate(sample: Sample) -> dict:
 
 
 def _retuned(sample: Sample, name: str) -> dict:
-    """Choose tuning parameters of a controller that keep the margin of the tuning task on a sampled car.
-
-    Poles by the rule come from `fastest_pole`. Otherwise the tuned set is scaled in three ways; the cheapest one that
-    keeps the margin counts, or the one with the largest margin.
-    """
+    """Choose tuning parameters of a controller that keep the margin of the tuning task on a sampled car. Poles by the
+    rule come from `fastest_pole`. Otherwise the tuned set is scaled in three ways; the cheapest one that keeps the
+    margin counts, or the one with the largest margin."""
     task, world = load_task(setting=setting_of(sample.setting)), sample.world(TUNING)
     if name in task.rule and sample.setting == PAPER:
         given = task.rule[name]
@@ -129,11 +123,9 @@ def _retuned(sample: Sample, name: str) -> dict:
 
 
 def holds(table: pd.DataFrame) -> pd.DataFrame:
-    """Judge the paper's statements on each sample: one row per sample.
-
-    `table` has the rows of `evaluate`. Columns number, setting, profile, ltv, and one per statement (its id, as "C04"):
-    True if the sample reproduces it, False if not, NaN if metrics for it are missing.
-    """
+    """Judge the paper's statements on each sample: one row per sample. `table` has the rows of `evaluate`. Columns
+    number, setting, profile, ltv, and one per statement (its id, as "C04"): True if the sample reproduces it, False if
+    not, NaN if metrics for it are missing."""
     known = {i: statement for i, statement in statements.load().items() if statement.kind == "statement"}
     nominal, rows = Nominal(), []
     for row in table.to_dict("records"):
@@ -145,11 +137,9 @@ def holds(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def shares(table: pd.DataFrame | None) -> pd.DataFrame:
-    """Compute the share of samples in which each statement holds (0 to 1): one row per statement and setting.
-
-    `table` has the rows of `evaluate`; None gives no rows. Columns id (of the statement); setting; share; low and high,
-    its 95 % interval (Clopper-Pearson); samples, number judged; cone and s1002, share among samples with this profile.
-    """
+    """Compute the share of samples in which each statement holds (0 to 1): one row per statement and setting. `table`
+    has the rows of `evaluate`; None gives no rows. Columns id; setting; share; low and high, its 95 % interval
+    (Clopper-Pearson); samples, number judged; cone and s1002, share among samples with this profile."""
     columns = ["id", "setting", "share", "low", "high", "samples", "cone", "s1002"]
     if table is None:
         return pd.DataFrame(columns=columns)
@@ -164,11 +154,9 @@ def shares(table: pd.DataFrame | None) -> pd.DataFrame:
 
 
 def decided(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the table of `shares` with a column decided_by, the parameters (of `prior`) that decide on a statement.
-
-    It has up to three names, joined by commas: those whose rank correlation with "holds" over the samples is
-    significant (p < 0.001, Bonferroni). `table` has rows of `evaluate` in one setting.
-    """
+    """Return the table of `shares` with a column decided_by, the parameters (of `prior`) that decide on a statement. It
+    has up to three names, joined by commas: those whose rank correlation with "holds" over the samples is significant
+    (p < 0.001, Bonferroni). `table` has rows of `evaluate` in one setting."""
     result, judged = shares(table), holds(table)
     factors, names = table[[dimension.name for dimension in prior()]], []
     for identity in result["id"]:
@@ -217,9 +205,10 @@ def over_poles() -> pd.DataFrame:
 
 
 def main() -> None:
-    """Command `robustness`: judge the statements on sampled cars and write three tables to data/results:
-    robustness_samples.csv, a row per sample with its metrics (`evaluate`); robustness_claims.csv, per statement the
-    share of samples in which it holds (`decided`); pole_verdicts.csv, verdicts by pole of NDI (`over_poles`)."""
+    """Command `robustness`: judge the paper's statements, as that NMPC errs less than NDI, on cars whose unprinted
+    parameters are sampled (`prior`). Writes to data/results: robustness_samples.csv, a row per sample with its metrics
+    (`evaluate`); robustness_claims.csv, per statement the share of samples in which it holds (`decided`);
+    pole_verdicts.csv, by pole of NDI whether statements are "reproduced", … on the nominal car (`over_poles`)."""
     write(paths.product("data/results/pole_verdicts.csv"), over_poles().to_csv(index=False, float_format="%.6g"))
     finished = []
     for setting in COLUMNS:
