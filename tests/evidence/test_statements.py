@@ -31,7 +31,8 @@ def _metrics():
     put(T3, NOTHING, largest_error=3e-3, shortest_wave=40.0)
     put(T3, *TRIO, mean_error_last_third=-6e-4, gyroscopic_share=1.0, shortfall=5e-4, path_error=0.01)
     put(T3, *MPC, ndi_later=6.0, ndi_alike=0.95)
-    for name, delay in zip((*TRIO, statements.RATES, statements.SHORT), (0.2, 0.3, 5.0, 4.0, 3.5), strict=True):
+    unforeseen = (statements.RATES, statements.SHORT, statements.HELD)
+    for name, delay in zip((*TRIO, *unforeseen), (0.2, 0.3, 5.0, 4.0, 3.5, 4.5), strict=True):
         put(T3, name, delay=delay)
     for name, drift in ((NO_CREEP, -2e-4), (CONES, -5e-4), (AS_MODELLED, -1e-4)):
         put(T3, name, mean_error_last_third=drift)
@@ -142,6 +143,7 @@ SWEPT_WRONG = [(BRAKE, "sweep of R", "stopping_distance 10", 990.0)]
         ("C07", [(T3, "ltv_mpc_printed", "rmse_y", 0.4e-3)], NOT),
         ("C08", [(T3, "nmpc", "delay", -4.1)], PARTLY),
         ("C42", [(T3, "nmpc", "delay", -1.5)], PARTLY),
+        ("C51", [(T3, name, "delay", 0.2) for name in (statements.RATES, statements.SHORT)], PARTLY),
         ("C42", [(T3, "ndi", "failed", 1.0)], NOT),
         ("C09", [(T3, "nmpc", "ndi_alike", 0.7)], PARTLY),
         ("C09", [(T3, name, "ndi_later", -0.5) for name in MPC], NOT),
