@@ -26,7 +26,8 @@ class Panel(NamedTuple):
 PANELS = {
     "y": Panel("lateral\nposition (mm)", ("y",), 1e3, "y_ref"),
     "error": Panel("lateral\nerror (mm)", ("error",), 1e3),
-    "yaw": Panel("yaw\nangle (mrad)", ("psi_Ax",), 1e3),
+    "yaw": Panel("absolute yaw\nangle (mrad)", ("psi_Ax",), 1e3),
+    "heading": Panel("yaw against\ntrack (mrad)", ("psi_TrAx",), 1e3),
     "creep": Panel("creep\nangle (mrad)", ("creep_angle",), 1e3),
     "du": Panel("differential\ntorque (N m)", ("du",), 1.0),
     "torque": Panel("right motor\ntorque (N m)", ("ri.tau",), 1.0),
@@ -47,9 +48,8 @@ def chosen(names: Sequence[str]) -> list[Panel]:
 
 
 def draw(axes: Sequence[Axes], panels: Sequence[Panel], series: pd.DataFrame, look: Mapping, gear: str) -> None:
-    """Draw one run over the track coordinate (m) into existing axes: the first of `panels` into the first of `axes`,
-    and so on; the left wheel is paler. `series` is the table of the run from `metrics.gear_series` for `gear`, "front"
-    or "rear"; `look` has keyword arguments of `Axes.plot`, such as color."""
+    """Draw one run over the track coordinate (m) into existing axes, one of `panels` in each; the left wheel is paler.
+    `series` is the table from `metrics.gear_series` for `gear`, "front" or "rear"; `look` is for `Axes.plot`."""
     p = series[metrics.column(gear, "p")]
     for axis, (_, (first, *second), factor, _) in zip(axes, panels, strict=True):
         for column in second:

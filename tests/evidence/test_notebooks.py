@@ -97,6 +97,8 @@ EDITS = [
     Edit("06", cells={"(scenario, PAPER_TRIO, stride=5)": '(scenario, ["nmpc", "ltv_mpc", "ndi"], stride=5)'}),
     Edit("06", {"scenario_name": "curve_entry_T2", "rho": 0.3}),
     Edit("06", {"end_m": 300.0}, cells={'"ndi_feedforward", "ndi_swarm"]': '"ndi_feedforward", "nmpc_observer"]'}),
+    Edit("06", {"end_m": 300.0}, cells={'tuned("nmpc")(vehicle, R': 'tuned("ltv_mpc")(vehicle, R'}, marks=True),
+    Edit("06", {"end_m": 300.0}, cells={'"NMPC, slope and curvature": 2': '"NMPC, slope and curvature": 1'}),
     Edit("07", {"stiff_times": 3.0, "end_m": 300.0}),
     Edit("07", {"speeds_kmh": [100], "end_m": 300.0}, marks=True),
     Edit("07", {"stiff_times": 1.0, "end_m": 60.0}, marks=True),
