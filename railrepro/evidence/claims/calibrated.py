@@ -32,7 +32,7 @@ R_FACTORS = (0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0)
 @data.table
 class Choice:
     """Value of one parameter of the calibrated car, which was fitted to the paper's statements; one table of
-    data/paper_like.toml. `nominal` is the value of the uncalibrated car in the setting "paper", `value` that of the
+    data/paper_like.toml. `nominal` is the value of the uncalibrated car (exact measurements), `value` that of the
     calibrated car, a number, text or list in `unit`. `range` is the range in the literature, two numbers in `unit`, and
     `source` its source; "free" means that none was found or that the paper leaves the value open. The value was chosen
     for the `statements` (ids); `why` says how it acts on them. ValueError if `nominal` or `value` is outside of

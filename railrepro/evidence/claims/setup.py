@@ -81,8 +81,8 @@ _CHOICES = {one.name for one in fields(ProbeSetup)} - {one.name for one in field
 
 
 def setting_of(column: str) -> str:
-    """Return the setting by which to find the tuned sets of a column of verdicts ("paper", "swarm", "loop"): "paper"
-    also for "swarm", in which only the poles of NDI are others; else `column` itself."""
+    """Return the setting by which to find the tuned sets of a column of verdicts: "paper" (exact measurements) also for
+    "swarm", in which only NDI has other poles, by swarm; "loop" (sensors) as it is."""
     return PAPER if column == SWARM else column
 
 

@@ -74,7 +74,7 @@ class Evidence:
 
     `metrics` maps (scenario, controller, metric) to values (SI); the metric `failed` of a failed run is 1. `spread`
     maps the same keys to the scatter between seeds, ln(largest / smallest). `tables` returns a table of data/results by
-    its name, None if it is missing. `setting` is "paper" or "loop" (`registry.SETTINGS`), "" for tables without one.
+    its name, None if it is missing. `setting` is "paper" (exact measurements), "loop" (sensors), or "" without one.
     """
 
     metrics: Mapping[Key, float]

@@ -27,7 +27,7 @@ class Sentences(list):
 def sentences() -> Iterator[Sentences]:
     """Collect sentences in a notebook cell (`with sentences() as says: says("…", holds)`) and display them at its end.
 
-    They become one paragraph with their number below it; those that do not hold are marked in words. A LookupError,
+    They become one paragraph, their count below it; those that do not hold are marked in words. A LookupError,
     ValueError or ArithmeticError in the block, such as from a missing value, ends the block; a last sentence that does
     not hold then names the error.
     """
