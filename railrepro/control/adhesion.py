@@ -1,10 +1,8 @@
-"""Adhesion control: one law for regular operation and for seeking the adhesion maximum, in traction and braking.
-
-The law changes the base torque by a fixed step each millisecond. In segment I the adhesion is below a corridor around
-the set point, and the torque rises. In segment II it is inside the corridor, and the torque stays. In segment III it is
+"""Adhesion control: one law for regular operation and for seeking the adhesion maximum, in traction and braking. The
+law changes the base torque by a fixed step each millisecond. In segment I the adhesion is below a corridor around the
+set point, and the torque rises. In segment II it is inside the corridor, and the torque stays. In segment III it is
 above, or a wheel is past its adhesion maximum, and the torque falls. The law gets estimates of adhesion and slip and
-does not know the creep law. Serves the paper's section Adhesion Control.
-"""
+does not know the creep law. Serves the paper's section Adhesion Control."""
 
 from dataclasses import dataclass
 from typing import Annotated

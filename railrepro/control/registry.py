@@ -102,7 +102,7 @@ CONTROLLERS = {
 }
 INVERSIONS = ("ndi", "ndi_feedforward", "ndi_integral")
 BY_SWARM = tuple(f"{name}_swarm" for name in INVERSIONS)
-"""The inversions with poles by the swarm. With sensors (setting "loop") the `INVERSIONS` themselves have these poles."""
+"""The inversions with poles by the swarm. With sensors (setting "loop") the `INVERSIONS` themselves have them."""
 CONTROLLERS |= {f"{name}_swarm": CONTROLLERS[name] for name in INVERSIONS}
 REPLICATED = ("nmpc", "nmpc_observer", "ltv_mpc", "ltv_mpc_printed", *INVERSIONS)
 """The paper's methods and their variants, in the order in which chapters show them."""

@@ -67,9 +67,8 @@ class FilterState:
 
 @dataclass(frozen=True)
 class FilterGains:
-    """Run-time numbers of the filters of a running gear. `lateral` has the Kalman gains (SI) from the readings of y,
-    psi, r to the states y, psi, r, bias and creep angle beta, from heading to motion (`LATERAL`), at each of `SPEEDS`,
-    the innermost index."""
+    """Run-time numbers of the filters of a running gear. `lateral` has the Kalman gains (SI) from readings of y, psi, r
+    to `LATERAL` (y, psi, r, bias, creep angle beta from heading to motion) at each of `SPEEDS`, the last index."""
 
     lateral: Annotated[list[Scalar], _GAINS]
     wheel_w: Annotated[Scalar, "-", "Kalman gain of the speed of a wheel"]

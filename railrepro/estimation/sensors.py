@@ -1,8 +1,6 @@
-"""Sensors of a running gear, read every ms: noise, bias, resolution and latency of readings; latency of commands.
-
-Noise is counter-based: a function of seed, signal and millisecond, so it is the same on every executor and processor.
-The paper calls lateral position and yaw difficult or costly to measure; its simulation measures them exactly.
-"""
+"""Sensors of a running gear, read every ms: noise, bias, resolution and latency of readings; latency of commands. Noise
+is counter-based: a function of seed, signal and millisecond, so it is the same on every executor and processor. The
+paper calls lateral position and yaw difficult or costly to measure; its simulation measures them exactly."""
 
 import math
 from dataclasses import dataclass, replace

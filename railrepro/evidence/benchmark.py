@@ -76,13 +76,11 @@ _LARGEST = ("y_over_q", "sum_y_over_limit", "wheel_unloading")
 
 
 def cases(seed: int, names: Sequence[str] | None = None) -> list[Experiment]:
-    """Make the runs of the suite, as experiments without guidance into which `drive` puts a controller.
-
-    Each run occurs in both settings: in "paper" with exact measurements, in "loop" with sensors. `seed` (0 to 2^31)
-    determines sensor noise and biases, irregularities and, in two runs, parameters of the car (`MISMATCH`). `names`
-    selects runs by name, as "curve_T3" (default all); InputError for an unknown one. Labels of an experiment are
-    scenario (name of the run), setting and group; runs of one group count as one in the score.
-    """
+    """Make the runs of the suite, as experiments without guidance into which `drive` puts a controller. Each run occurs
+    in both settings: in "paper" with exact measurements, in "loop" with sensors. `seed` (0 to 2^31) determines sensor
+    noise and biases, irregularities and, in two runs, parameters of the car (`MISMATCH`). `names` selects runs by name,
+    as "curve_T3" (default all); InputError for an unknown one. Labels of an experiment are scenario (name of the run),
+    setting and group; runs of one group count as one in the score."""
     suite, runs = [], _runs(seed)
     known = [name for name, *_ in runs]
     chosen = known if names is None else names
@@ -180,14 +178,14 @@ def known_route(route: Route) -> Route:
 
 
 def drive(of: str | Path | type, case: Experiment) -> dict:
-    """Simulate a run of `cases` under a controller and return its row, a dict. `of` is a key of `registry.CONTROLLERS`,
-    a class or a file, which a process loads and runs. The row has the labels of the run, controller (name), failure
-    (one sentence, "" for a good run) and metrics (SI). Of the front gear: error, RMS of y - y* (with sensors y is from
-    the irregular rails); effort_du, RMS differential torque; activity_du, its part above 5 Hz; utilisation of the
-    adhesion limit; stopping_distance. Of all wheels: y_over_q and sum_y_over_limit, largest wheel and track forces;
-    wheel_unloading. comfort: index N_MV, less is better. Without metrics is a run whose controller raises an error.
-    InputError when a file ended its process or took longer than 600 s, if the run is started by `executor.ordered_map`
-    with apart=True."""
+    """Simulate a run of `cases` and return its row, a dict. `of` is a key of `registry.CONTROLLERS`, a class or a file,
+    which a process loads and runs. The row has the labels of the run, controller (name), failure (one sentence, "" for
+    a good run) and metrics (SI). Of the front gear: error, RMS of y - y* (with sensors y is from the irregular rails);
+    effort_du, RMS differential torque; activity_du, its part above 5 Hz; utilisation of the adhesion limit;
+    stopping_distance. Of all wheels: y_over_q and sum_y_over_limit, largest wheel and track forces; wheel_unloading.
+    comfort: index N_MV, less is better. Without metrics is a run whose controller raises an error. InputError when a
+    file ended its process or took longer than 600 s, if the run is started by `executor.ordered_map` with apart=True.
+    """
     head = case.label | {"controller": name_of(of), "failure": ""}
     if isinstance(of, Path):
         run = f"{of.name}: its run {case.label['scenario']} in the setting {case.setting}"
@@ -306,13 +304,11 @@ def score(
 
 
 def card(table: pd.DataFrame) -> pd.DataFrame:
-    """Summarise a table of `score`: one row per seed, setting and metric.
-
-    Columns scenario (always "all"), controller, metric, value, unit, setting, seed. Metrics: score, mean points, for
-    which the runs with more delay or a slower drive (group "margins") count as one; margins, mean points of that group;
-    cases, number of runs, that group as one. Without that group: failures, number of failed runs; each of `METRICS`,
-    the largest value of wheel and track forces, the mean of others. Setting "all" has only score, the mean of both.
-    """
+    """Summarise a table of `score`: one row per seed, setting and metric. Columns scenario (always "all"), controller,
+    metric, value, unit, setting, seed. Metrics: score, mean points, for which the runs with more delay or a slower
+    drive (group "margins") count as one; margins, mean points of that group; cases, number of runs, that group as one.
+    Without that group: failures, number of failed runs; each of `METRICS`, the largest value of wheel and track forces,
+    the mean of others. Setting "all" has only score, the mean of both."""
     rows = []
     for (seed, name), draw in table.groupby(["seed", "controller"], sort=False):
         sums = {setting: _sums(part) for setting, part in draw.groupby("setting", sort=False)}

@@ -32,8 +32,7 @@ class World:
 
     def driver(self, controller: str) -> str:
         """Key of `registry.CONTROLLERS` that `experiment` runs for `controller`: here itself. A subclass may run a
-        variant: `ProbeSetup`, which tests the paper's statements on "ltv_mpc_printed" (LTV-MPC), can run "ltv_mpc" for
-        it."""
+        variant: `ProbeSetup`, which tests the paper's statements on "ltv_mpc_printed" (LTV-MPC), can run "ltv_mpc"."""
         return controller
 
     def car(self) -> Vehicle:

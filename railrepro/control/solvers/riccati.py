@@ -1,9 +1,7 @@
-"""The compiled horizon: forecast, linearisation and Riccati recursion of one sample in C.
-
-An active-set method finds the torques and positions at their bounds. Where it does not converge, an interior point
-method on the same recursion takes over, which limits the time of a sample. Source: Rao, Wright and Rawlings 1998
-(recursion, interior points); Mehrotra 1992 (their steps); Hintermueller, Ito and Kunisch 2002 (active sets).
-"""
+"""The compiled horizon: forecast, linearisation and Riccati recursion of one sample in C. An active-set method finds
+the torques and positions at their bounds. Where it does not converge, an interior point method on the same recursion
+takes over, which limits the time of a sample. Source: Rao, Wright and Rawlings 1998 (recursion, interior points);
+Mehrotra 1992 (their steps); Hintermueller, Ito and Kunisch 2002 (active sets)."""
 
 import ctypes
 from functools import lru_cache

@@ -1,8 +1,6 @@
 """The calibrated car: car, controllers and experiments chosen such that the paper's statements hold together.
-
 data/paper_like.toml documents every choice. The car shows which choices it takes; no verdict follows from it, its
-results have a column of their own. Serves the paper's section Multi-Body Simulation Results.
-"""
+results have a column of their own. Serves the paper's section Multi-Body Simulation Results."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -82,12 +80,10 @@ def cars() -> dict[str, ProbeSetup]:
 
 def judged(world: ProbeSetup, parts: Iterable[str] = PARTS) -> pd.DataFrame:
     """Judge the paper's statements on a car with its controllers (`world`): one row per statement. Where controllers
-    differ by less than the scatter between tuning seeds, they are tied and the statement does not hold.
-
-    `parts` are names of groups of runs (`PARTS`); statements that need other runs have no row. Columns: statement (id);
-    value; above and below, its lower and upper limit (NaN for none); margin, distance to the nearer limit over this
-    limit (not divided for a limit of 0), negative outside; holds, whether the statement is reproduced.
-    """
+    differ by less than the scatter between tuning seeds, they are tied and the statement does not hold. `parts` are
+    names of groups of runs (`PARTS`); statements that need other runs have no row. Columns: statement (id); value;
+    above and below, its lower and upper limit (NaN for none); margin, distance to the nearer limit over this limit (not
+    divided for a limit of 0), negative outside; holds, whether the statement is reproduced."""
     found, rows = statements.findings(Evidence(probe(world, parts), Nominal().evidence(PAPER).spread)), []
     for identity, rule in statements.load().items():
         if identity not in found:

@@ -1,8 +1,6 @@
-"""Verdicts on the paper's statements in each setting of comparison.
-
-data/claims.toml has the rules, `railrepro.evidence.claims.statements` a predicate for each, data/results/claims.csv
-the accepted verdicts, data/theses.toml the reasons why a statement fails.
-"""
+"""Verdicts on the paper's statements in each setting of comparison. data/claims.toml has the rules,
+`railrepro.evidence.claims.statements` a predicate for each, data/results/claims.csv the accepted verdicts,
+data/theses.toml the reasons why a statement fails."""
 
 import numpy as np
 import pandas as pd
@@ -23,9 +21,9 @@ _CONTRACT = {FRAGILE: statements.PARTLY, statements.TIE: statements.NOT}
 def evaluate(nominal: Nominal) -> pd.DataFrame:
     """Judge all statements by stored metrics: one row per statement and setting of comparison.
 
-    A statement is fragile when it is reproduced, but the lower 95 % limit of its share of sampled cars, whose unpublished
-    parameters are drawn at random, is at most 0.5. It is a tie when its value is nearer to the limit of its rule than
-    the scatter between tuning runs. Columns:
+    A statement is fragile when it is reproduced, but the lower 95 % limit of its share of sampled cars (unpublished
+    parameters drawn at random) is at most 0.5. It is a tie when its value is nearer to the limit of its rule than the
+    scatter between tuning runs. Columns:
 
     - id, paper_ref, statement, kind, unit, evidence (figure or table): the statement, from data/claims.toml;
     - setting: "paper" (exact measurements), "swarm" (the same, but poles of NDI by particle swarm) or "loop" (sensors);

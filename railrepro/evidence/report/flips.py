@@ -1,8 +1,6 @@
 """Verdicts that flip with answers of the paper's authors to open questions: `python -m railrepro probe FILE.toml`.
-
 FILE.toml is a filled copy of data/answers.toml. Answers change the setup of the probe (`claims.probe`) with exact
-measurements (setting "paper").
-"""
+measurements (setting "paper")."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle
