@@ -68,9 +68,9 @@ class PredictiveController:
 
     def problem(self, x_hat: np.ndarray, u_d: float) -> Problem:
         """The nonlinear optimal control `Problem` of a sample at a measured state (6,) (SI) and a base torque per wheel
-        (N m), to inspect or compare solvers. It is the one that `plan` solves if `MPCSettings.observer` is 0. Else
-        `plan` adds the creep angle that it observed, between heading and motion, to the measured yaw angle psi_TrAx; it
-        is not here."""
+        (N m), to inspect or compare solvers. `plan` solves it, or with LTV-MPC or one iteration approximates it. Only
+        with `MPCSettings.observer` above 0 does `plan` have another state: it adds the observed creep angle, between
+        heading and motion, to the measured yaw angle."""
         x_hat, u_d = self._checked(x_hat, u_d if self.settings.informed else 0.0)
         limit = self.vehicle.drive.limit(x_hat[XDOT] / self.vehicle.wheel.radius)
         return Problem(self.settings, x_hat, u_d, self.horizon.forecast(x_hat, u_d), self.parameters, limit)

@@ -119,13 +119,14 @@ def torque_limit() -> ca.Function:
 class MPCSettings:
     """Settings of a predictive controller: weights, horizon, prediction model, soft bound of |y|. `q_diag` has the
     weights of squared deviations of x, psi_Ax, xdot, psidot_Ax, y_TrAx, psi_TrAx, each in 1 over the square of its unit
-    (m, rad, s). At the end only y_TrAx and psi_TrAx count, `q_terminal` times. `discretisation` is "euler", "midpoint"
-    or "rk4". `variant` is "corrected", "printed" (all errata of the paper) or errata to keep, as "D1,D3". With
-    `yielding`, |du| may use the whole motor torque, else what the base torque (common to both wheels) leaves. With
-    `informed`, the forecast knows the base torque, else it assumes 0. With `previewed` it knows the lateral set point
-    ahead, else it keeps the present one; the track ahead is always known. `observer` is a gain (-). Wheels that carry
-    side force roll at a creep angle to their heading, which the model lacks and which leaves a steady error of y. With
-    a gain above 0 the controller estimates this angle and adds it to the measured yaw angle; 0 is the paper's."""
+    (m, rad, s). At the end of the horizon only y_TrAx and psi_TrAx count, with `q_terminal` times these weights.
+    `discretisation` is "euler", "midpoint" or "rk4". `variant` is "corrected", "printed" (all errata of the paper) or
+    errata to keep, as "D1,D3". With `yielding`, |du| may use the whole motor torque, else what the base torque (common
+    to both wheels) leaves. With `informed`, the forecast knows the base torque, else it assumes 0. With `previewed` it
+    knows the lateral set point ahead, else it keeps the present one; the track ahead is always known. `observer` is a
+    gain (-). Wheels that carry side force roll at a creep angle to their heading, which the model lacks and which
+    leaves a steady error of y. With a gain above 0 the controller estimates this angle and adds it to the measured yaw
+    angle; 0 is the paper's."""
 
     q_diag: tuple[Any, ...] = (0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
     """Diagonal of Q: weights of the six states (1/m^2, 1/rad^2, s^2/m^2, s^2/rad^2, 1/m^2, 1/rad^2)."""

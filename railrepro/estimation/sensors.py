@@ -124,8 +124,8 @@ class Inverter:
 class Filter:
     """Settings of the filter `estimation.observers`. The first four are process noise (roots of spectral densities) in
     the derivatives of a wheel's creep force, creep angle (from a gear's heading to its motion), yaw rate and gyro bias.
-    The lags are time constants of the low-pass filters of the creep angle, with which it is added to the yaw angle for
-    controllers, which must not react to it at once, and of the speed."""
+    The lags are time constants of low-pass filters: of the creep angle, which is added to the yaw angle that
+    controllers get, slowly, as they must not react to it at once; and of the speed."""
 
     force_rate: Annotated[float, _upto(1e7, "N/s^0.5")]
     creep_rate: Annotated[float, _upto(1.0, "rad/s^0.5")]

@@ -179,13 +179,12 @@ def known_route(route: Route) -> Route:
 
 def drive(of: str | Path | type, case: Experiment) -> dict:
     """Simulate a run of `cases` and return its row, a dict. `of` is a key of `registry.CONTROLLERS`, a class or a file,
-    which a process loads and runs. The row has the labels of the run, controller (name), failure (one sentence, "" for
-    a good run) and metrics (SI). Of the front gear: error, RMS of y - y* (with sensors y is from the irregular rails);
+    which a process runs. The row has the labels of the run, controller (name), failure (one sentence, "" for a good
+    run) and metrics (SI). Of the front gear: error, RMS of y - y* (with sensors y is from the irregular rails);
     effort_du, RMS differential torque; activity_du, its part above 5 Hz; utilisation of the adhesion limit;
     stopping_distance. Of all wheels: y_over_q and sum_y_over_limit, largest wheel and track forces; wheel_unloading.
-    comfort: index N_MV, less is better. Without metrics is a run whose controller raises an error. InputError when a
-    file ended its process or took longer than 600 s, if the run is started by `executor.ordered_map` with apart=True.
-    """
+    comfort: index N_MV, less is better. A run whose controller raises an error has no metrics. InputError when a file
+    ended its process or took longer than 600 s, if the run is started by `executor.ordered_map` with apart=True."""
     head = case.label | {"controller": name_of(of), "failure": ""}
     if isinstance(of, Path):
         run = f"{of.name}: its run {case.label['scenario']} in the setting {case.setting}"

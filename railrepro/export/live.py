@@ -73,7 +73,7 @@ def content() -> dict:
     - "car": its "module", "parameters" (list of dicts: name, value, unit, low, high), names of its "outputs", as
       "front.y", and of those "measured" by controllers;
     - "controllers": name -> "label", "module", "parameters" (as of the car);
-    - "figures": scenario -> "title", "cells", "speed_kmh" (at first), "stop_kmh" (at the end; None: not limited),
+    - "figures": scenario -> "title", "cells", "speed_kmh" (at first), "stop_kmh" (at its end, or None),
       "set_point" (dict of kind, amplitude_mm, period_m, …: fields of `scenarios.Sine`, `Sweep`), "end" (m), "stride"
       (ms between rows of a curve), "force" (kN, largest demand), "committed": controller -> curves "y", "p" (m),
       simulated here with the values in the repository, with which the page compares its own runs.

@@ -31,8 +31,9 @@ class World:
         return Experiment(scenario, self.driver(controller), **given)
 
     def driver(self, controller: str) -> str:
-        """Key of `registry.CONTROLLERS` that `experiment` runs for `controller`: here itself. A subclass may run a
-        variant: `ProbeSetup`, which tests the paper's statements on "ltv_mpc_printed" (LTV-MPC), can run "ltv_mpc"."""
+        """Key of `registry.CONTROLLERS` that `experiment` runs for `controller`: here itself. The subclass `ProbeSetup`
+        overrides it: the paper leaves open which linear model LTV-MPC has, so for "ltv_mpc_printed", its name in all
+        statements, a probe may run the variant "ltv_mpc"."""
         return controller
 
     def car(self) -> Vehicle:

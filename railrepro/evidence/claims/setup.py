@@ -73,8 +73,8 @@ class ProbeSetup(World):
 
 SWARM = "swarm"
 COLUMNS = (PAPER, SWARM, LOOP)
-"""Columns of verdicts: the settings of comparison, and "swarm": the setting `paper` in which NDI has the poles that the
-swarm found in place of the poles by the rule."""
+"""Columns of verdicts: "paper" (exact measurements), "swarm" (the same, but NDI has the poles that a particle swarm
+found in place of those by the rule), "loop" (sensors)."""
 LTV_R, POLE, PROFILE, SWEEP = "ltv_mpc_printed.r", "ndi.pole", "profile", "brake_sweep"
 _CHOICES = {one.name for one in fields(ProbeSetup)} - {one.name for one in fields(World)}
 """Fields of `ProbeSetup` that may be keys of the argument `values` of `setup`."""

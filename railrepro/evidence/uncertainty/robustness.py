@@ -77,7 +77,8 @@ class Sample:
 
 
 def draw(count: int, settings: Sequence[str] = COLUMNS) -> list[Sample]:
-    """Draw `count` quasi-random samples of `prior` (scrambled Sobol sequence), the same for each of `settings`."""
+    """Draw `count` quasi-random samples of `prior` (scrambled Sobol sequence), the same for each of `settings`, by
+    default all three: "paper" (exact measurements), "swarm" (NDI's poles by particle swarm) and "loop" (sensors)."""
     dimensions = prior()
     points = stats.qmc.Sobol(len(dimensions), seed=SEED).random(count)
     values = [tuple((d.name, d.value(float(u))) for d, u in zip(dimensions, point, strict=True)) for point in points]
