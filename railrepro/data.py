@@ -242,8 +242,8 @@ def build(kind: type, content: Any, where: str, instance: Any = None) -> Any:
     """Check dicts and lists as from `read` and convert them to instances of a class. `kind` is a class marked with
     `table`, or `dict[str, that class]` for named tables. `where` names the file in the message of the InputError, which
     tells the first fault. Only the constructors of such classes pass `instance`, their new object, which takes the
-    values. The `context` of pydantic tells validators whether `content` is from a file, True without `instance`: there
-    a `vehicle.parameters.Parameter` is a table with unit and source, in a constructor it is the number alone."""
+    values. The `context` that pydantic gives to validators is True for a file (no `instance`), where a
+    `vehicle.parameters.Parameter` is a table with unit and source, and False in a constructor, where it is a number."""
     try:
         return _adapter(kind).validator.validate_python(content, self_instance=instance, context=instance is None)
     except pydantic.ValidationError as error:

@@ -51,7 +51,9 @@ def _pairs() -> str:
 
 
 def c_text(*more: ca.Function) -> str:
-    """Write the C source of the car: functions `more`, then those of the car, then car.c, which calls the car's."""
+    """Write the C source of the car: the functions `more`, then those of the equations of the car, then car.c, which
+    calls the latter. `more` are CasADi functions that the caller's own C needs: the FMU passes `equations.rest`, the
+    initial state."""
     return codegen.source_text(more) + _pairs() + codegen.PREAMBLE + codegen.defines(_SIZES) + _SOURCE
 
 

@@ -1,10 +1,8 @@
-"""Adhesion control: one law for regular operation and for seeking the adhesion maximum, in traction and braking.
-
-The law changes the base torque by a fixed step each millisecond. In segment I the adhesion is below a corridor around
-the set point, and the torque rises. In segment II it is inside the corridor, and the torque stays. In segment III it is
+"""Adhesion control: one law for regular operation and for seeking the adhesion maximum, in traction and braking. The
+law changes the base torque by a fixed step each millisecond. In segment I the adhesion is below a corridor around the
+set point, and the torque rises. In segment II it is inside the corridor, and the torque stays. In segment III it is
 above, or a wheel is past its adhesion maximum, and the torque falls. The law gets estimates of adhesion and slip and
-does not know the creep law. Serves the paper's section Adhesion Control.
-"""
+does not know the creep law. Serves the paper's section Adhesion Control."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -75,7 +73,8 @@ class AdhesionSettings:
         is past its adhesion maximum if the rates of its filtered adhesion and slip have opposite signs, f' s' < 0,
         where f and s count as positive in the direction of the demand. (With the sign of s that the paper prints, this
         would hold before the maximum in traction.) Returns the base torque per wheel (N m), the next `AdhesionMemory`,
-        and the segment of the law: 1 raise, 2 hold, 3 lower. Source: eqs. (21), (22), (23), (25)."""
+        and the segment of the law: 1 adhesion below the corridor, 2 inside, 3 above it or a wheel past its maximum;
+        also computed if not `active`. Source: eqs. (21), (22), (23), (25)."""
         sign = ca.if_else(q.f_star < 0, -1, 1)
         pole = CONTROL_PERIOD / (self.filter_time + CONTROL_PERIOD)
         dead_zone = self.dead_zone * ca.fmax(1, self.noise_speed / ca.fmax(q.v, SLOWEST))

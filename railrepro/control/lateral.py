@@ -108,8 +108,8 @@ class SlowController(Protocol):
 
     `compiled(loop, leader=None)` is for a controller in compiled C and is called once before a run. `loop` has errors
     and delays of sensors and inverters (`Loop`), None for exact states; `leader`, for the rear gear, is the front
-    controller. The result is two addresses: of a C function (memory, states (6,) as in `plan`, readings (3,) as in
-    `read`, base torque (N m)) -> differential torque (N m), and of its memory. With None the loop calls `plan`.
+    controller. It returns two addresses: of a C function (memory, states (6,) as in `plan`, readings (3,) as in `read`,
+    base torque (N m)) -> differential torque (N m), and of its memory. If it returns None, the run calls `plan`.
     """
 
     period: float

@@ -67,8 +67,10 @@ class PredictiveController:
         return self.c.fallbacks
 
     def problem(self, x_hat: np.ndarray, u_d: float) -> Problem:
-        """The optimal control `Problem` at a measured state (6,) (SI) and a base torque per wheel (N m), to inspect or
-        compare solvers. The offset observer does not correct the state here."""
+        """The nonlinear optimal control `Problem` of a sample at a measured state (6,) (SI) and a base torque per wheel
+        (N m), to inspect or compare solvers. `plan` solves it, or with LTV-MPC or one iteration approximates it. Only
+        with `MPCSettings.observer` above 0 does `plan` have another state: it adds the observed creep angle, between
+        heading and motion, to the measured yaw angle."""
         x_hat, u_d = self._checked(x_hat, u_d if self.settings.informed else 0.0)
         limit = self.vehicle.drive.limit(x_hat[XDOT] / self.vehicle.wheel.radius)
         return Problem(self.settings, x_hat, u_d, self.horizon.forecast(x_hat, u_d), self.parameters, limit)
@@ -85,8 +87,8 @@ class PredictiveController:
 
     def compiled(self, _loop: object, _leader: object = None) -> tuple[int, int] | None:
         """Addresses of the C function of a sample and of the memory `c` of this controller, so that the compiled loop
-        solves each problem without Python; the arguments are ignored. None with Ipopt, which is called from Python, and
-        for a derived class, whose `plan` may differ: then the loop calls `plan`."""
+        needs no Python; the arguments are ignored. None with Ipopt, which is called from Python, and for a derived
+        class, whose `plan` may differ: then the loop calls `plan`."""
         if type(self) not in (NMPC, LTVMPC) or (isinstance(self, NMPC) and self.solver == "ipopt"):
             return None
         return ctypes.cast(self._library.planner_sample, ctypes.c_void_p).value or 0, ctypes.addressof(self.c)

@@ -85,11 +85,13 @@ def slack_on(side, x, t: Tuning):
 
 @stored
 def dynamics(variant: str, discretisation: str) -> ca.Function:
-    """Make one time step T of the prediction model as a CasADi function (SI), for a `variant` of the model and an
-    integration method `discretisation` as in `MPCSettings`. It maps (state x[6], differential torque du, base torque
-    u_d, track theta[9], vehicle data par[14], T, affine) to the next state x_next[6] and its derivatives A by x, sparse
-    (6, 6), and B by du [6]. With affine = 1, x_next is that of the model. With affine = 0 it is A x plus each torque,
-    du and u_d, times its derivative: the printed linear model without affine term (erratum D6)."""
+    """Make one time step T of the prediction model as a CasADi function (SI), for a `variant` of the model and a
+    `discretisation` as in `MPCSettings`. It maps (x[6], differential torque du, base torque u_d, theta[9], par[14], T,
+    affine) to the next state x_next[6] and its derivatives A by x, sparse (6, 6), and B by du [6]. Orders: x
+    `control_model.STATES` (x, psi_Ax, …, psi_TrAx); theta, track at the gear, `control_model.THETA` (heading,
+    curvature, …); par, the vehicle, `model.parameters.PARAMETERS` (masses, inertias, …). With affine = 1, x_next is
+    that of the model. With affine = 0 it is A x plus each torque, du and u_d, times its derivative: the printed linear
+    model without affine term (erratum D6)."""
     step = discretise(control_model(variant), discretisation)
     x, du, u_d, affine = ca.SX.sym("x", len(STATES)), ca.SX.sym("du"), ca.SX.sym("u_d"), ca.SX.sym("affine")
     theta, par, period = ca.SX.sym("theta", len(THETA)), ca.SX.sym("par", len(PARAMETERS)), ca.SX.sym("T")
@@ -116,12 +118,15 @@ def torque_limit() -> ca.Function:
 @table
 class MPCSettings:
     """Settings of a predictive controller: weights, horizon, prediction model, soft bound of |y|. `q_diag` has the
-    weights of squared deviations of x, psi_Ax, xdot, psidot_Ax, y_TrAx and psi_TrAx, each in 1 over the square of its
-    unit (m, rad, s). At the end of the horizon only y_TrAx and psi_TrAx count, with `q_terminal` times these weights.
-    `discretisation` is "euler", "midpoint" or "rk4". `variant` of the model is "corrected", "printed" (all errata of
-    the paper) or a list of errata to keep, as "D1,D3". With `yielding`, |du| may use the whole motor torque, else only
-    what the base torque (common to both wheels) leaves. With `informed`, the forecast knows the base torque, else it
-    assumes 0. `observer` is the gain of an observer of the creep angle (-), 0: none."""
+    weights of squared deviations of x, psi_Ax, xdot, psidot_Ax, y_TrAx, psi_TrAx, each in 1 over the square of its unit
+    (m, rad, s). At the end of the horizon only y_TrAx and psi_TrAx count, with `q_terminal` times these weights.
+    `discretisation` is "euler", "midpoint" or "rk4". `variant` is "corrected", "printed" (all errata of the paper) or
+    errata to keep, as "D1,D3". With `yielding`, |du| may use the whole motor torque, else what the base torque (common
+    to both wheels) leaves. With `informed`, the forecast knows the base torque, else it assumes 0. With `previewed` it
+    knows the lateral set point ahead, else it keeps the present one; the track ahead is always known. `observer` is a
+    gain (-). Wheels that carry side force roll at a creep angle to their heading, which the model lacks and which
+    leaves a steady error of y. With a gain above 0 the controller estimates this angle and adds it to the measured yaw
+    angle; 0 is the paper's."""
 
     q_diag: tuple[Any, ...] = (0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
     """Diagonal of Q: weights of the six states (1/m^2, 1/rad^2, s^2/m^2, s^2/rad^2, 1/m^2, 1/rad^2)."""

@@ -102,7 +102,7 @@ CONTROLLERS = {
 }
 INVERSIONS = ("ndi", "ndi_feedforward", "ndi_integral")
 BY_SWARM = tuple(f"{name}_swarm" for name in INVERSIONS)
-"""The inversions with poles by the swarm. In the setting "loop" the `INVERSIONS` themselves have these poles."""
+"""The inversions with poles by the swarm. With sensors (setting "loop") the `INVERSIONS` themselves have them."""
 CONTROLLERS |= {f"{name}_swarm": CONTROLLERS[name] for name in INVERSIONS}
 REPLICATED = ("nmpc", "nmpc_observer", "ltv_mpc", "ltv_mpc_printed", *INVERSIONS)
 """The paper's methods and their variants, in the order in which chapters show them."""
@@ -110,7 +110,7 @@ SHOWN = (*REPLICATED, OURS)
 PAPER_TRIO = ("nmpc", "ltv_mpc_printed", "ndi")
 """The three methods of the paper, LTV-MPC as printed."""
 OBSERVER = 0.05
-"""Gain of the offset observer of "nmpc_observer", see `MPCSettings.observer`."""
+"""Gain with which "nmpc_observer" observes the creep angle between heading and motion, `MPCSettings.observer`."""
 EMPHASIS = 10.0
 """Factor on the weight R of NMPC where the longitudinal task has priority (Fig. 8)."""
 
@@ -161,9 +161,10 @@ def read(controller: str, setting: str = PAPER, folder: Path | None = None) -> d
 
 def tuned_set(controller: str, setting: str = PAPER) -> dict:
     """Tuned parameters of a controller in a setting, "paper" (exact signals) or "loop" (sensors, delays): a dict with
-    "controller", "setting", "parameters" and, from a file, how they were found, which `parameters` leaves out.
-    Parameters that a person chose are in data/tuning.toml, table [setting.SETTING.designed]; those that a swarm or rule
-    found are in data/tuned, see `read`. InputError for an unknown setting, or without parameters."""
+    "controller", "setting" and "parameters" (name -> value; the function `parameters` returns only these). Parameters
+    that a swarm or rule found are in a file of data/tuned; its further entries, such as "cost", are in the dict, too.
+    Those that a person chose are in data/tuning.toml, table [setting.SETTING.designed]. InputError for an unknown
+    setting, or without parameters."""
     require("controller", controller, str)
     require("setting", setting, str)
     if setting not in SETTINGS:
@@ -176,8 +177,8 @@ def tuned_set(controller: str, setting: str = PAPER) -> dict:
 
 
 def parameters(controller: str, setting: str = PAPER) -> dict:
-    """Tuned parameters of a controller in a setting, "paper" or "loop": a dict from name to value for `guidance`.
-    InputError if there are none."""
+    """Tuned parameters of a controller in a setting, "paper" (exact signals) or "loop" (sensors, delays): a dict from
+    name to value for `guidance`. InputError if there are none."""
     return tuned_set(controller, setting)["parameters"]
 
 

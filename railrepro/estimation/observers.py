@@ -5,12 +5,12 @@ and the longitudinal creep force F from the commanded motor torque u:
 
     T_m tau' = u - tau,   J_Wy w' = tau - r_0 F,   F' = noise
 
-One per gear estimates displacement y, yaw angle psi against the track, yaw rate r, gyro bias and creep angle beta. Its
-inputs are the creep forces of the wheels, its gains are scheduled over the speed:
+One per gear estimates displacement y, yaw angle psi against the track, yaw rate r, gyro bias and creep angle beta, from
+heading to motion. Its inputs are the creep forces of the wheels, its gains are scheduled over the speed:
 
     y' = v (psi + beta),   psi' = r - v kappa,   J_z r' = b/2 (F_le - F_ri) - springs and dampers + gyroscopic moment
 
-The car needs a creep angle to carry lateral force. Controllers get psi plus the low-pass filtered beta as yaw angle,
+Wheels carry lateral force only at a creep angle. Controllers get psi plus the low-pass filtered beta as yaw angle,
 because an inversion must not react to beta at once. All estimates are predicted to the time when a torque acts.
 Serves the measured states of the paper's eq. (18).
 """
@@ -35,7 +35,7 @@ SPEEDS = (2.0, 5.0, 10.0, 20.0, 40.0, 70.0, 120.0)
 _LEAST_NOISE = 1e-9  # Assumed noise of perfect sensors (SI), which keeps the gains finite
 LATERAL = ("y", "psi", "r", "bias", "beta")
 """States of the lateral filter: displacement (m), yaw angle against the track (rad), absolute yaw rate (rad/s), gyro
-bias (rad/s), creep angle (rad). The first three are read."""
+bias (rad/s), creep angle from heading to motion (rad). The first three are read."""
 _GAINS = [f"{state}.{read}.{k}" for state in LATERAL for read in LATERAL[:3] for k in range(len(SPEEDS))]
 
 
@@ -51,8 +51,8 @@ class WheelState:
 @dataclass(frozen=True)
 class FilterState:
     """States of the Kalman filters of a running gear and its left (le) and right (ri) wheel: displacement y, yaw angle
-    psi against the track, yaw rate r, bias of the gyroscope, creep angle beta; and of low-pass filters of speed and
-    creep angle."""
+    psi against the track, yaw rate r, bias of the gyroscope, creep angle beta from the heading to the direction of
+    motion, positive to the right; and of low-pass filters of speed and creep angle."""
 
     y: Annotated[Scalar, "m"]
     psi: Annotated[Scalar, "rad"]
@@ -67,8 +67,8 @@ class FilterState:
 
 @dataclass(frozen=True)
 class FilterGains:
-    """Run-time numbers of the filters of a running gear. `lateral` has the Kalman gains (SI) from the readings of y,
-    psi, r to the states y, psi, r, bias, beta (`LATERAL`) at each of `SPEEDS`; the speed is the innermost index."""
+    """Run-time numbers of the filters of a running gear. `lateral` has the Kalman gains (SI) from readings of y, psi, r
+    to `LATERAL` (y, psi, r, bias, creep angle beta from heading to motion) at each of `SPEEDS`, the last index."""
 
     lateral: Annotated[list[Scalar], _GAINS]
     wheel_w: Annotated[Scalar, "-", "Kalman gain of the speed of a wheel"]
@@ -92,8 +92,9 @@ class Estimates:
 
 
 def lateral_matrices(vehicle: Vehicle, speed: float) -> tuple[np.ndarray, np.ndarray]:
-    """Build the matrices A (5, 5), C (3, 5) of the lateral filter at a speed (m/s), SI: x' = A x, readings C x. x holds
-    y, psi, r, gyro bias and creep angle beta; the readings are y, psi, and r plus the gyro bias."""
+    """Build the matrices A (5, 5), C (3, 5) of the lateral filter at a speed v (m/s), SI: x' = A x, readings C x. x
+    holds y, yaw angle psi, yaw rate r, gyro bias and creep angle beta, from heading to direction of motion: y' = v (psi
+    + beta), beta' = 0. Read are y, psi, and r plus the gyro bias."""
     k, d, inertia = vehicle.suspension.yaw_stiffness, vehicle.suspension.yaw_damping, vehicle.gear.inertia_z
     gyroscopic = 2 * vehicle.wheel.spin_inertia * speed / vehicle.wheel.radius * vehicle.gamma * speed
     a = [
@@ -120,8 +121,8 @@ def _stationary(a, c, q, r) -> tuple[np.ndarray, np.ndarray]:
 
 def lateral_filter(vehicle: Vehicle, loop: Loop, speed: float) -> tuple[np.ndarray, np.ndarray]:
     """Design the lateral filter at a speed (m/s) for the noise of sensors and process in `loop`, SI. Returns the
-    stationary Kalman gain (5, 3) from readings of y, psi, r to the states y, psi, r, gyro bias, creep angle, and the
-    covariance (5, 5) of these states after a reading."""
+    stationary Kalman gain (5, 3) from readings of y, psi, r to the states y, psi, r, gyro bias, creep angle (from
+    heading to motion), and the covariance (5, 5) of these states after a reading."""
     rates = loop.filter
     y = max(loop.lateral.noise / np.sqrt(2), _LEAST_NOISE)
     readings = np.diag([y**2, (2 * y / loop.lateral.base) ** 2, max(loop.gyro.noise, _LEAST_NOISE) ** 2])

@@ -1,8 +1,6 @@
-"""Sensors of a running gear, read every ms: noise, bias, resolution and latency of readings; latency of commands.
-
-Noise is counter-based: a function of seed, signal and millisecond, so it is the same on every executor and processor.
-The paper calls lateral position and yaw difficult or costly to measure; its simulation measures them exactly.
-"""
+"""Sensors of a running gear, read every ms: noise, bias, resolution and latency of readings; latency of commands. Noise
+is counter-based: a function of seed, signal and millisecond, so it is the same on every executor and processor. The
+paper calls lateral position and yaw difficult or costly to measure; its simulation measures them exactly."""
 
 import math
 from dataclasses import dataclass, replace
@@ -125,8 +123,9 @@ class Inverter:
 @data.table
 class Filter:
     """Settings of the filter `estimation.observers`. The first four are process noise (roots of spectral densities) in
-    the derivatives of a wheel's creep force, creep angle, yaw rate and gyro bias. The lags are time constants of the
-    low-pass filters of creep angle and speed."""
+    the derivatives of a wheel's creep force, creep angle (from a gear's heading to its motion), yaw rate and gyro bias.
+    The lags are time constants of low-pass filters: of the creep angle, which is added to the yaw angle that
+    controllers get, slowly, as they must not react to it at once; and of the speed."""
 
     force_rate: Annotated[float, _upto(1e7, "N/s^0.5")]
     creep_rate: Annotated[float, _upto(1.0, "rad/s^0.5")]

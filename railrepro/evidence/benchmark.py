@@ -76,13 +76,11 @@ _LARGEST = ("y_over_q", "sum_y_over_limit", "wheel_unloading")
 
 
 def cases(seed: int, names: Sequence[str] | None = None) -> list[Experiment]:
-    """Make the runs of the suite, as experiments without guidance into which `drive` puts a controller.
-
-    Each run occurs in both settings: in "paper" with exact measurements, in "loop" with sensors. `seed` (0 to 2^31)
-    determines sensor noise and biases, irregularities and, in two runs, parameters of the car (`MISMATCH`). `names`
-    selects runs by name, as "curve_T3" (default all); InputError for an unknown one. Labels of an experiment are
-    scenario (name of the run), setting and group; runs of one group count as one in the score.
-    """
+    """Make the runs of the suite, as experiments without guidance into which `drive` puts a controller. Each run occurs
+    in both settings: in "paper" with exact measurements, in "loop" with sensors. `seed` (0 to 2^31) determines sensor
+    noise and biases, irregularities and, in two runs, parameters of the car (`MISMATCH`). `names` selects runs by name,
+    as "curve_T3" (default all); InputError for an unknown one. Labels of an experiment are scenario (name of the run),
+    setting and group; runs of one group count as one in the score."""
     suite, runs = [], _runs(seed)
     known = [name for name, *_ in runs]
     chosen = known if names is None else names
@@ -180,11 +178,13 @@ def known_route(route: Route) -> Route:
 
 
 def drive(of: str | Path | type, case: Experiment) -> dict:
-    """Simulate a run of `cases` under a controller and return its row, a dict. `of` is a key of `registry.CONTROLLERS`,
-    a class or a file, which a process loads and runs. The row has the labels of the run, controller (name), failure
-    (one sentence, "" for a good run) and the metrics (SI, see `METRICS`). A run whose controller raises an error has no
-    metrics. InputError when a file ended its process or took longer than 600 s, if the run is started by
-    `executor.ordered_map` with apart=True."""
+    """Simulate a run of `cases` and return its row, a dict. `of` is a key of `registry.CONTROLLERS`, a class or a file,
+    which a process runs. The row has the labels of the run, controller (name), failure (one sentence, "" for a good
+    run) and metrics (SI). Of the front gear: error, RMS of y - y* (with sensors y is from the irregular rails);
+    effort_du, RMS differential torque; activity_du, its part above 5 Hz; utilisation of the adhesion limit;
+    stopping_distance. Of all wheels: y_over_q and sum_y_over_limit, largest wheel and track forces; wheel_unloading.
+    comfort: index N_MV, less is better. A run whose controller raises an error has no metrics. InputError when a file
+    ended its process or took longer than 600 s, if the run is started by `executor.ordered_map` with apart=True."""
     head = case.label | {"controller": name_of(of), "failure": ""}
     if isinstance(of, Path):
         run = f"{of.name}: its run {case.label['scenario']} in the setting {case.setting}"
@@ -241,7 +241,9 @@ def _row(run: Run, of: Experiment) -> store.Entry:
 def cost(row: dict) -> float:
     """Cost J >= 0 (-, less is better) of a run that did not fail: error / 1 mm + effort_du / 4 kN m + max(0,
     activity_du / 0.5 kN m - 1) + 2 (1 - utilisation) + 10 max(0, s - 1), s the larger of y_over_q / 0.8 and
-    sum_y_over_limit. `row` is from `drive`; utilisation counts as 1 above 1 or if missing; inf if J is not finite."""
+    sum_y_over_limit. `row` from `drive` has these metrics: RMS lateral error; RMS differential torque; its part above 5
+    Hz; used share of the adhesion limit (as 1 if above or missing); largest wheel force ratio Y/Q; largest track
+    shifting force over its limit. inf if J is not finite."""
     unused = 1 - min(row["utilisation"], 1.0) if np.isfinite(row.get("utilisation", np.nan)) else 0.0
     unsafe = max(row["y_over_q"] / Y_OVER_Q_LIMIT, row["sum_y_over_limit"])
     value = row["error"] / 1e-3 + row["effort_du"] / 4e3 + max(0.0, row["activity_du"] / 500 - 1)
@@ -287,13 +289,12 @@ def _bounds(loop: Loop, speed: float) -> store.Entry:
 def score(
     of: str | Path | type, seeds: Sequence[int], names: Sequence[str] | None = None, quiet: bool = False
 ) -> pd.DataFrame:
-    """Score a controller on the suite: one row per run and seed.
-
-    `of` is a controller as in `drive`, `seeds` are seeds of `cases`, each a suite of its own, `names` are names of
-    runs (default all). `quiet` shows no progress bars. Columns: scenario (name of the run), setting, group, seed,
-    controller, failure ("" for a good run), metrics of the run (SI, see `METRICS`), points (0 to 100), and nothing,
-    best, limit of `ends_of_the_scale`.
-    """
+    """Score a controller on the suite: one row per run and seed. `of` is a controller as in `drive`, `seeds` are seeds
+    of `cases`, each a suite of its own, `names` are names of runs (default all). `quiet` shows no progress bars.
+    Columns: scenario (name of the run), setting ("paper": exact measurements, "loop": sensors), group, seed,
+    controller, failure ("" for a good run), metrics of the run as in `drive` (SI), above all error, effort_du,
+    activity_du (RMS lateral error, RMS differential torque, its part above 5 Hz), points (0 to 100), and nothing, best,
+    limit of `ends_of_the_scale`."""
     drawn = [replace(case, label=case.label | {"seed": seed}) for seed in seeds for case in cases(seed, names)]
     ends = ordered_map(ends_of_the_scale, drawn, "limits", quiet)
     rows = ordered_map(partial(drive, of), drawn, f"score {name_of(of)}", quiet, apart=isinstance(of, Path))
@@ -302,13 +303,11 @@ def score(
 
 
 def card(table: pd.DataFrame) -> pd.DataFrame:
-    """Summarise a table of `score`: one row per seed, setting and metric.
-
-    Columns scenario (always "all"), controller, metric, value, unit, setting, seed. Metrics: score, mean points, for
-    which the runs with more delay or a slower drive (group "margins") count as one; margins, mean points of that group;
-    cases, number of runs, that group as one. Without that group: failures, number of failed runs; each of `METRICS`,
-    the largest value of wheel and track forces, the mean of others. Setting "all" has only score, the mean of both.
-    """
+    """Summarise a table of `score`: one row per seed, setting and metric. Columns scenario (always "all"), controller,
+    metric, value, unit, setting, seed. Metrics: score, mean points, for which the runs with more delay or a slower
+    drive (group "margins") count as one; margins, mean points of that group; cases, number of runs, that group as one.
+    Without that group: failures, number of failed runs; each of `METRICS`, the largest value of wheel and track forces,
+    the mean of others. Setting "all" has only score, the mean of both."""
     rows = []
     for (seed, name), draw in table.groupby(["seed", "controller"], sort=False):
         sums = {setting: _sums(part) for setting, part in draw.groupby("setting", sort=False)}
@@ -332,10 +331,11 @@ def _sums(rows: pd.DataFrame) -> dict[str, float]:
 
 def ranking(cards: pd.DataFrame) -> pd.DataFrame:
     """Rank controllers by their `card` tables, one below the other: one row per controller (index), the best first.
-    Values are means over seeds, without the published one. Columns: "ranked", points in both settings, 0 to 100, the
-    mean of "paper" and "loop", points in each; "spread", standard deviation of ranked over the seeds; "margins", points
-    in runs with more delay or lag; "runs failed" per seed, in both; with sensors, RMS lateral error, its lower bound
-    and RMS differential torque, "error (mm), loop", "limit (mm), loop", "torque (N m), loop"."""
+    Values are means over seeds, without the seed 1001, which is published for development: controllers may be tuned on
+    it. Columns: "paper" and "loop", points (0 to 100) with exact measurements and with sensors; "ranked", the mean of
+    both; "spread", standard deviation of ranked over the seeds; "margins", points in runs with more delay or lag; "runs
+    failed" per seed, in both; with sensors, RMS lateral error, its lower bound and RMS differential torque, "error
+    (mm), loop", "limit (mm), loop", "torque (N m), loop"."""
     cards = cards[cards["seed"] != PUBLISHED]
     totals = cards[(cards["setting"] == ALL) & (cards["metric"] == "score")].groupby("controller")["value"]
     mean = cards.pivot_table(index="controller", columns=["metric", "setting"], values="value")
@@ -348,9 +348,9 @@ def ranking(cards: pd.DataFrame) -> pd.DataFrame:
 
 def tuning_cost(of: type, setting: str, runs: Sequence[str]) -> Callable[[list[dict], list[float]], list[float]]:
     """Make the cost function with which `swarm.minimise` tunes a controller class `of`. `runs` are names of runs in
-    data/tuning.toml for the `setting`, "paper" or "loop". The function takes a list of dicts of gains and a limit of
-    the cost for each, and returns a list with the mean cost over the runs (-) for each. A cost above its limit is a
-    lower bound: the remaining runs were left out."""
+    data/tuning.toml for the `setting`, "paper" (exact measurements) or "loop" (sensors). The function takes a list of
+    dicts of gains and a limit of the cost for each, and returns a list with the mean cost over the runs (-) for each. A
+    cost above its limit is a lower bound: the remaining runs were left out."""
     name, task = _registered(of), load_task(setting=setting)
     chosen = replace(task, runs={each: task.runs[each] for each in task.runs if each in runs})
     return lambda sets, limits: [evaluate(name, chosen, *pair)[0] for pair in zip(sets, limits, strict=True)]

@@ -34,12 +34,9 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def report_errors(command: Callable[[], object]) -> int:
-    """Call `command` and return the exit code of the process.
-
-    The code is the integer that `command` returns, or 0 for any other result, which is printed unless it is None. It is
-    1 for an InputError or OSError, which is printed to stderr in one sentence. Ctrl-C ends this process and all
-    processes that it started with the code 130.
-    """
+    """Call `command` and return the exit code of the process. The code is the integer that `command` returns, or 0 for
+    any other result, which is printed unless it is None. It is 1 for an InputError or OSError, which is printed to
+    stderr in one sentence. Ctrl-C ends this process and all processes that it started with the code 130."""
     try:
         if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # set for the imports, see `railrepro.__main__`
             signal.signal(signal.SIGINT, signal.default_int_handler)

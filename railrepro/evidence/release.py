@@ -42,8 +42,8 @@ def exchanged(scenario: Scenario, controller: str) -> pd.DataFrame:
 
 
 def write_runs(folder: Path) -> list[Path]:
-    """Write to a folder per figure (6 to 9) FIGURE_car.fmu, the car on its route, and FIGURE_CONTROLLER.csv, the runs
-    as by `exchanged`; returns their paths."""
+    """Write all files into one `folder`: for each of Figs. 6 to 9 the car on its route as an FMU, as fig06_car.fmu, and
+    a table of `exchanged` per controller, as fig06_nmpc.csv. Returns their paths."""
     folder.mkdir(parents=True, exist_ok=True)
     files = []
     for figure, (driven, controllers) in FIGURES.items():

@@ -34,9 +34,10 @@ _FIXED = re.compile(r"limit\.|filter\.|cost\.period$|(front|rear)\.(measurement|
 
 @dataclass(frozen=True)
 class Export:
-    """Controller of both gears on a route, for export as C source or as an FMU. `guidance` is as in `simulate.run`,
-    `vehicle` the car that it assumes. With `sensors` the export contains the filter for their noise and delays.
-    InputError for a wrong type."""
+    """Controller of both gears on a route, for export as C source or as an FMU. `guidance` is a 1 kHz law, as `NDI()`,
+    or a factory (vehicle, route, gear) -> `NMPC` (not with Ipopt), `LTVMPC` or the controller of `LqgPreview`;
+    `registry.tuned("nmpc")` makes one. `vehicle` is the car that it assumes. With `sensors` the export contains the
+    filter for their noise and delays. InputError for a wrong type; other controllers are refused on export."""
 
     guidance: lateral.Guidance
     """A 1 kHz law, or a factory of `NMPC` (not with Ipopt), `LTVMPC` or `LqgPreview`."""

@@ -35,7 +35,7 @@ FIGURES = {
     "Figure 9: braking, T2, 160 km/h": "braking",
 }
 SHOWN = (*REPLICATED, "ndi_swarm")
-"""Controllers of the page. They are those of the setting `paper`, as the page has no sensors."""
+"""Controllers of the page, tuned for exact measurements (setting "paper"), as the page has no sensors."""
 OWN = "own"
 """Name of the controller whose torque is that of a law that a user writes on the page."""
 FACTORS = {"force": data.between(0.0, 2.0), "r": data.between(1e-3, 1e4), "faster": data.between(0.1, 5.0)}
@@ -70,11 +70,13 @@ def content() -> dict:
 
     - "columns": names of the columns of all "cells", the rows of a route;
     - "ranges": key of a value that the page may change -> fields of its `railrepro.data.Quantity`;
-    - "car": its "module", "parameters", "outputs", and the names "measured" by controllers;
-    - "controllers": name -> "label", "module", "parameters";
-    - "figures": scenario -> "title", "cells", "speed_kmh", "stop_kmh", "set_point", "end" (m), "stride" (ms between
-      rows of a curve), "force" (kN, largest demand), "committed": controller -> curves "y", "p" (m), simulated here
-      with the values in the repository, with which the page compares its own runs.
+    - "car": its "module", "parameters" (list of dicts: name, value, unit, low, high), names of its "outputs", as
+      "front.y", and of those "measured" by controllers;
+    - "controllers": name -> "label", "module", "parameters" (as of the car);
+    - "figures": scenario -> "title", "cells", "speed_kmh" (at first), "stop_kmh" (at its end, or None),
+      "set_point" (dict of kind, amplitude_mm, period_m, …: fields of `scenarios.Sine`, `Sweep`), "end" (m), "stride"
+      (ms between rows of a curve), "force" (kN, largest demand), "committed": controller -> curves "y", "p" (m),
+      simulated here with the values in the repository, with which the page compares its own runs.
     """
     scenarios = {name: load_scenario(name) for name in FIGURES.values()}
     routes = {name: scenario.route() for name, scenario in scenarios.items()}

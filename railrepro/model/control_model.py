@@ -98,11 +98,9 @@ def _rhs(discrepancies: tuple[str, ...]) -> ca.Function:
 
 
 def discretise(model: ca.Function, method: str = "euler") -> ca.Function:
-    """Make one time step of a `control_model` with constant inputs and track, as a CasADi function. Source: eq. (7).
-
-    It maps (x[6], u[2], theta[9], par[14], step T (s)) to the state after T and its sparse Jacobians by x (6, 6) and by
-    u (6, 2), in SI units. `method` is "euler" (as in the paper), "midpoint" or "rk4"; InputError for another.
-    """
+    """Make one time step of a `control_model` with constant inputs and track, as a CasADi function. Source: eq. (7). It
+    maps (x[6], u[2], theta[9], par[14], step T (s)) to the state after T and its sparse Jacobians by x (6, 6) and by u
+    (6, 2), in SI units. `method` is "euler" (as in the paper), "midpoint" or "rk4"; InputError for another."""
     if method not in METHODS:
         raise InputError(f"discretisation {method!r} is not known; there are {METHODS}")
     x, u, theta, par = model.sx_in()

@@ -105,7 +105,7 @@ class ClosedLoop:
 
     @property
     def margins(self) -> dict[str, float]:
-        """Distances to the limits of a run, which ends when one is not positive: front.lateral and rear.lateral (m) to
-        derailment, track_end (m) and stop_speed (m/s) to the end; front.torque, rear.torque: 0 if the torque is not
-        finite, else 1."""
+        """Distances to the limits of a run, which ends when one is not positive: front.lateral and rear.lateral, to
+        derailment (m); track_end, of the front gear to the end of the route (m); stop_speed, its speed less the one at
+        which the run ends (m/s); front.torque, rear.torque: 0 if the torque is not finite, else 1."""
         return dict(zip(interface.MARGINS, self._arrays["margins"].tolist(), strict=True))

@@ -1,9 +1,7 @@
-"""Store of results on disk: a result is read again as long as its inputs and the code are the same.
-
-The key of an entry is a hash of all that the computation reads, of the code that it can reach (`railrepro.code`), the
-compiler and the packages. An entry is a file of two lines: a hash of key and content, and the content as JSON. An entry
-that does not fit its hash is computed anew.
-"""
+"""Store of results on disk: a result is read again as long as its inputs and the code are the same. The key of an entry
+is a hash of all that the computation reads, of the code that it can reach (`railrepro.code`), the compiler and the
+packages. An entry is a file of two lines: a hash of key and content, and the content as JSON. An entry that does not
+fit its hash is computed anew."""
 
 import hashlib
 import json

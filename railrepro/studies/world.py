@@ -31,8 +31,9 @@ class World:
         return Experiment(scenario, self.driver(controller), **given)
 
     def driver(self, controller: str) -> str:
-        """Key of `registry.CONTROLLERS` that `experiment` runs for `controller`: itself; `ProbeSetup`, where
-        "ltv_mpc_printed" stands for any LTV-MPC, may return "ltv_mpc"."""
+        """Key of `registry.CONTROLLERS` that `experiment` runs for `controller`: here itself. The subclass `ProbeSetup`
+        overrides it: the paper leaves open which linear model LTV-MPC has, so for "ltv_mpc_printed", its name in all
+        statements, a probe may run the variant "ltv_mpc"."""
         return controller
 
     def car(self) -> Vehicle:
@@ -45,7 +46,7 @@ class World:
 
 
 def world(controllers: Iterable[str], setting: str = PAPER, seed: int = 101) -> World:
-    """Make the `World` of the car of data/vehicle.toml with the controllers tuned in a setting, "paper" or "loop". In
-    "loop" it has sensors, whose noise has the random `seed`."""
+    """Make the `World` of the car of data/vehicle.toml with the controllers tuned in a setting, "paper" (exact
+    measurements) or "loop" (sensors, whose noise has the random `seed`)."""
     sets = {name: dict(parameters(name, setting)) for name in controllers}
     return World(sets, setting, sensors={"seed": seed} if setting == LOOP else {})

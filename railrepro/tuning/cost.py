@@ -36,12 +36,9 @@ def driven(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 def run_cost(parts: dict, cost: dict) -> float:
     """Cost of a run (-) from its metrics `parts` (dict of `driven`) and the table `cost` of data/tuning.toml, lower is
-    better.
-
-    1e3 rmse_y / y_scale_mm + weight effort_du / du_scale_Nm + activity_weight max(activity_du / activity_Nm - 1, 0), or
-    failure (2 - done) for a failed run. rmse_y is the lateral error, effort_du the differential torque, activity_du
-    its part above 5 Hz, done the fraction of the distance before the failure.
-    """
+    better. It is 1e3 rmse_y / y_scale_mm + weight effort_du / du_scale_Nm + activity_weight max(activity_du /
+    activity_Nm - 1, 0), or failure (2 - done) for a failed run. rmse_y is the lateral error, effort_du the differential
+    torque, activity_du its part above 5 Hz, done the fraction of the distance before the failure."""
     if parts["failed"]:
         return cost["failure"] * (2 - parts["done"])
     beyond = max(parts["activity_du"] / cost["activity_Nm"] - 1, 0.0)

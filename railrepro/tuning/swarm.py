@@ -1,7 +1,5 @@
-"""Particle swarm optimisation with a global best, constriction and reflecting bounds.
-
-Source: Kennedy and Eberhart 1995; constriction factor after Clerc and Kennedy 2002 (chi = 0.7298, c1 = c2 = 2.05).
-"""
+"""Particle swarm optimisation with a global best, constriction and reflecting bounds. Source: Kennedy and Eberhart
+1995; constriction factor after Clerc and Kennedy 2002 (chi = 0.7298, c1 = c2 = 2.05)."""
 
 import math
 import numbers

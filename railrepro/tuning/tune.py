@@ -17,14 +17,11 @@ from railrepro.vehicle.parameters import Vehicle
 
 def tune(controller: str, task: Task | str = PAPER, quiet: bool = False) -> dict:
     """Tune a controller by a particle swarm per seed of the budget, in parallel (minutes; stored runs are read).
-    `controller` is one of `Task.searched`. `task` is a `Task`, or "paper" or "loop" for that in data/tuning.toml.
-    `quiet` leaves out the progress bars.
-
-    Returns a dict. Of the best swarm: controller, setting, parameters, cost (-), runs (name, cost and metrics of each),
-    margins (disk margin at each speed). swarms: list of dicts with seed, cost, evaluations and parameters of each
-    swarm. origin: dict of version and budget. history: DataFrame with a row per evaluated particle: seed, iteration,
-    particle, cost, parameters.
-    """
+    `controller` is one of `Task.searched`. `task` is a `Task`, or the name of one in data/tuning.toml: "paper", exact
+    measurements, or "loop", sensors. `quiet` leaves out the progress bars. Returns a dict. Of the best swarm:
+    controller, setting, parameters, cost (-), runs (name, cost and metrics of each), margins (disk margin at each
+    speed). swarms: list of dicts with seed, cost, evaluations and parameters of each swarm. origin: dict of version and
+    budget. history: DataFrame with a row per evaluated particle: seed, iteration, particle, cost, parameters."""
     task = task if isinstance(task, Task) else load_task(setting=task)
     bounded = controller.removesuffix("_swarm")
     if bounded not in task.dimensions:
@@ -93,7 +90,8 @@ def by_rule(controller: str, task: Task) -> dict:
 def main(names: list[str]) -> None:
     """Command `tune`: tune controllers (minutes each) and write their parameters to data/tuned, a CONTROLLER.json each,
     and for swarms CONTROLLER_particles.csv, a row per evaluated parameter set with its cost. `names` are controllers
-    and settings ("paper", "loop"); without one of a kind all of this kind are tuned. InputError for other names."""
+    and settings, "paper" (exact measurements), "loop" (sensors); without one of a kind all of this kind are tuned.
+    InputError for other names."""
     tasks = {setting: load_task(setting=setting) for setting in SETTINGS}
     known = {name for task in tasks.values() for name in (*task.dimensions, *task.searched)}
     wanted = [name for name in names if name not in SETTINGS]

@@ -1,9 +1,7 @@
-"""The compiled horizon: forecast, linearisation and Riccati recursion of one sample in C.
-
-An active-set method finds the torques and positions at their bounds. Where it does not converge, an interior point
-method on the same recursion takes over, which limits the time of a sample. Source: Rao, Wright and Rawlings 1998
-(recursion, interior points); Mehrotra 1992 (their steps); Hintermueller, Ito and Kunisch 2002 (active sets).
-"""
+"""The compiled horizon: forecast, linearisation and Riccati recursion of one sample in C. An active-set method finds
+the torques and positions at their bounds. Where it does not converge, an interior point method on the same recursion
+takes over, which limits the time of a sample. Source: Rao, Wright and Rawlings 1998 (recursion, interior points);
+Mehrotra 1992 (their steps); Hintermueller, Ito and Kunisch 2002 (active sets)."""
 
 import ctypes
 from functools import lru_cache
@@ -73,10 +71,12 @@ class Horizon:
     the problem before.
 
     Attributes:
-        x_hat (ndarray, shape (6,)): Measured state.
+        x_hat (ndarray, shape (6,)): State at which the problem starts: the measured one, with an observer its yaw
+            angle plus the observed creep angle (between heading and motion).
         x_d, theta (ndarray, shapes (L + 1, 6), (L + 1, 9)): Forecast of desired states and track parameters.
-        x, u (ndarray, shapes (L + 1, 6), (L,)): States and torques about which the model is linearised: in LTV-MPC a
-            centred ride with u = 0, in real-time iteration those for the next sample, x[0] as predicted, else x_hat.
+        x, u (ndarray, shapes (L + 1, 6), (L,)): States and torques about which the model is linearised. After a solved
+            sample of LTV-MPC: a centred ride, u = 0. Of "gauss_newton", "ipopt": the solution, x[0] = x_hat. Of "rti":
+            the solution one step later, for the next sample; then x[0] and x_hat are the state predicted for it.
         plan (ndarray, shape (L,)): Differential torques that solve the problem (N m); plan[0] is applied. Without a
             solution it is the plan of the sample before, one step later.
         stages (ndarray, shape (L + 1,)): All stages as a structured array, `stage_t` of riccati.c.

@@ -132,10 +132,10 @@ def horizon_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
 def study_times(
     controllers: Sequence[str] = ("ndi", "nmpc"), settings: Sequence[str] = (PAPER, LOOP), repeats: int = 5
 ) -> pd.DataFrame:
-    """Measure how long a run takes in tuning: one row per controller and setting ("paper" or "loop"). Each run of
-    data/tuning.toml for the setting is simulated anew `repeats` times, none is read from the store. Columns: setting;
-    controller; run_ms, processor time of a whole run, and loop_ms, of the compiled closed loop in it (ms), each the
-    median over repeats, then the mean over runs; ratio, run_ms / loop_ms (-)."""
+    """Measure how long a run takes in tuning: one row per controller and setting, "paper" (exact measurements) or
+    "loop" (sensors). Each run of data/tuning.toml for the setting is simulated anew `repeats` times, none is read from
+    the store. Columns: setting; controller; run_ms, processor time of a whole run, and loop_ms, of the compiled closed
+    loop in it (ms), each the median over repeats, then the mean over runs; ratio, run_ms / loop_ms (-)."""
     rows = []
     for setting, controller in product(settings, controllers):
         task, quick, tuned = load_task(setting=setting), CONTROLLERS[controller].quick, parameters(controller, setting)
@@ -173,8 +173,8 @@ def machine() -> str:
 
 def main() -> None:
     """Command `bench`: measure computation times and write two tables to data/results: solve_times.csv (columns of
-    `solve_times` and setting), once with the weights of NMPC tuned in the setting "paper" and once in "loop", and
-    horizon_times.csv with those of "paper". Prints both, and `study_times`."""
+    `solve_times` and setting), once with the weights of NMPC tuned for exact measurements ("paper"), once with those
+    for sensors ("loop"), and horizon_times.csv with the former. Prints both, and `study_times`."""
     vehicle, of = load_vehicle(), {name: mpc_settings(parameters("nmpc", name)) for name in SETTINGS}
     solvers = pd.concat([solve_times(vehicle, settings).assign(setting=name) for name, settings in of.items()])
     tables = {"solve_times": solvers, "horizon_times": horizon_times(vehicle, of[PAPER])}

@@ -1,8 +1,6 @@
 """The calibrated car: car, controllers and experiments chosen such that the paper's statements hold together.
-
 data/paper_like.toml documents every choice. The car shows which choices it takes; no verdict follows from it, its
-results have a column of their own. Serves the paper's section Multi-Body Simulation Results.
-"""
+results have a column of their own. Serves the paper's section Multi-Body Simulation Results."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -32,7 +30,7 @@ R_FACTORS = (0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0)
 @data.table
 class Choice:
     """Value of one parameter of the calibrated car, which was fitted to the paper's statements; one table of
-    data/paper_like.toml. `nominal` is the value of the uncalibrated car in the setting "paper", `value` that of the
+    data/paper_like.toml. `nominal` is the value of the uncalibrated car (exact measurements), `value` that of the
     calibrated car, a number, text or list in `unit`. `range` is the range in the literature, two numbers in `unit`, and
     `source` its source; "free" means that none was found or that the paper leaves the value open. The value was chosen
     for the `statements` (ids); `why` says how it acts on them. ValueError if `nominal` or `value` is outside of
@@ -82,12 +80,10 @@ def cars() -> dict[str, ProbeSetup]:
 
 def judged(world: ProbeSetup, parts: Iterable[str] = PARTS) -> pd.DataFrame:
     """Judge the paper's statements on a car with its controllers (`world`): one row per statement. Where controllers
-    differ by less than the scatter between tuning seeds, they are tied and the statement does not hold.
-
-    `parts` are names of groups of runs (`PARTS`); statements that need other runs have no row. Columns: statement (id);
-    value; above and below, its lower and upper limit (NaN for none); margin, distance to the nearer limit over this
-    limit (not divided for a limit of 0), negative outside; holds, whether the statement is reproduced.
-    """
+    differ by less than the scatter between tuning seeds, they are tied and the statement does not hold. `parts` are
+    names of groups of runs (`PARTS`); statements that need other runs have no row. Columns: statement (id); value;
+    above and below, its lower and upper limit (NaN for none); margin, distance to the nearer limit over this limit (not
+    divided for a limit of 0), negative outside; holds, whether the statement is reproduced."""
     found, rows = statements.findings(Evidence(probe(world, parts), Nominal().evidence(PAPER).spread)), []
     for identity, rule in statements.load().items():
         if identity not in found:

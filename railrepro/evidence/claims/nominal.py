@@ -31,7 +31,7 @@ class Nominal:
         self._rows = {} if metrics is None else dict(list(metrics.groupby("setting")))
 
     def settings(self) -> list[str]:
-        """List those of "paper", "swarm" and "loop" that have stored metrics, in this order."""
+        """List those settings of `Nominal`, "paper", "swarm", "loop" in this order, that have stored metrics."""
         return [column for column in COLUMNS if column in self._rows]
 
     def evidence(self, setting: str) -> Evidence:

@@ -73,16 +73,16 @@ class ProbeSetup(World):
 
 SWARM = "swarm"
 COLUMNS = (PAPER, SWARM, LOOP)
-"""Columns of verdicts: the settings of comparison, and "swarm": the setting `paper` in which NDI has the poles that the
-swarm found in place of the poles by the rule."""
+"""Columns of verdicts: "paper" (exact measurements), "swarm" (the same, but NDI has the poles that a particle swarm
+found in place of those by the rule), "loop" (sensors)."""
 LTV_R, POLE, PROFILE, SWEEP = "ltv_mpc_printed.r", "ndi.pole", "profile", "brake_sweep"
 _CHOICES = {one.name for one in fields(ProbeSetup)} - {one.name for one in fields(World)}
 """Fields of `ProbeSetup` that may be keys of the argument `values` of `setup`."""
 
 
 def setting_of(column: str) -> str:
-    """Return the setting by which to find the tuned sets of a column of verdicts ("paper", "swarm", "loop"): "paper"
-    also for "swarm", in which only the poles of NDI are others; else `column` itself."""
+    """Return the setting by which to find the tuned sets of a column of verdicts: "paper" (exact measurements) also for
+    "swarm", in which only NDI has other poles, by swarm; "loop" (sensors) as it is."""
     return PAPER if column == SWARM else column
 
 

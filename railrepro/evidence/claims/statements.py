@@ -70,12 +70,10 @@ class Finding:
 
 @dataclass(frozen=True)
 class Evidence:
-    """Metrics of runs and tables of results from which the statements are judged.
-
-    `metrics` maps (scenario, controller, metric) to values (SI); the metric `failed` of a failed run is 1. `spread`
-    maps the same keys to the scatter between seeds, ln(largest / smallest). `tables` returns a table of data/results by
-    its name, None if it is missing. `setting` is "paper" or "loop" (`registry.SETTINGS`), "" for tables without one.
-    """
+    """Metrics of runs and tables of results from which the statements are judged. `metrics` maps (scenario, controller,
+    metric) to values (SI); the metric `failed` of a failed run is 1. `spread` maps the same keys to the scatter between
+    seeds, ln(largest / smallest). `tables` returns a table of data/results by its name, None if it is missing.
+    `setting` is "paper" (exact measurements), "loop" (sensors), or "" without one."""
 
     metrics: Mapping[Key, float]
     spread: Mapping[Key, float] = field(default_factory=dict)

@@ -1,8 +1,6 @@
-"""Verdicts on the paper's statements in each setting of comparison.
-
-data/claims.toml has the rules, `railrepro.evidence.claims.statements` a predicate for each, data/results/claims.csv
-the accepted verdicts, data/theses.toml the reasons why a statement fails.
-"""
+"""Verdicts on the paper's statements in each setting of comparison. data/claims.toml has the rules,
+`railrepro.evidence.claims.statements` a predicate for each, data/results/claims.csv the accepted verdicts,
+data/theses.toml the reasons why a statement fails."""
 
 import numpy as np
 import pandas as pd
@@ -23,14 +21,17 @@ _CONTRACT = {FRAGILE: statements.PARTLY, statements.TIE: statements.NOT}
 def evaluate(nominal: Nominal) -> pd.DataFrame:
     """Judge all statements by stored metrics: one row per statement and setting of comparison.
 
-    A reproduced statement is fragile when the lower 95 % limit of its share of sampled cars is at most 0.5. Columns:
+    A statement is fragile when it is reproduced, but the lower 95 % limit of its share of sampled cars (unpublished
+    parameters drawn at random) is at most 0.5. It is a tie when its value is nearer to the limit of its rule than the
+    scatter between tuning runs. Columns:
 
     - id, paper_ref, statement, kind, unit, evidence (figure or table): the statement, from data/claims.toml;
-    - setting: setting of comparison; "" for a statement on no tuned controller, or without metrics;
+    - setting: "paper" (exact measurements), "swarm" (the same, but poles of NDI by particle swarm) or "loop" (sensors);
+      "" for a statement on no tuned controller, or without metrics;
     - paper_value, measured_value: in `unit`, NaN where there is none; data: path of the table that was judged;
     - judged: verdict, one of `page.MARKS`; verdict: the same, but "partly" for fragile and "not reproduced" for a tie;
     - share, share_low, share_high: share of sampled cars on which it holds (-), with its 95 % limits;
-    - calibrated: whether it holds on the calibrated car: "yes", "no", or "" where that was not judged.
+    - calibrated: whether it holds on the car fitted to the statements: "yes", "no", or "" where that was not judged.
     """
     robust = shares(nominal.results("robustness_samples")).set_index(["id", "setting"])
     calibrated = nominal.on_calibrated_car()
@@ -55,8 +56,8 @@ def evaluate(nominal: Nominal) -> pd.DataFrame:
 
 def headline(rows: pd.DataFrame) -> str:
     """Pick the verdict on one statement that the report shows first. `rows` are its rows of the table of `evaluate`,
-    which has one per setting. Returns the verdict (column judged) of the row with setting "paper" or ""; "not testable"
-    if there is none, "no verdict" if the column kind is not "statement"."""
+    one per setting. Returns the verdict (column judged) of the row with setting "paper" (exact measurements) or "";
+    "not testable" if there is none, "no verdict" if the column kind is not "statement"."""
     if set(rows["kind"]) != {"statement"}:
         return NO_VERDICT
     counts = rows[rows["setting"].isin(("", HEADLINE))]["judged"]

@@ -26,8 +26,8 @@ def model_variants(scenarios: Sequence[Scenario], variants: Sequence[str]) -> pd
 
 def linearisations(scenarios: Sequence[Scenario]) -> pd.DataFrame:
     """Simulate NMPC, LTV-MPC with the corrected linearisation and LTV-MPC with the printed one (erratum D6), all with
-    the weights of NMPC in the setting "paper". Returns one row per run: scenario, controller, flange (whether a wheel
-    touched its flange or lifted) and metrics."""
+    the weights tuned here for NMPC with exact measurements. Returns one row per run: scenario, controller, flange
+    (whether a wheel touched its flange or lifted) and metrics."""
     weights, controllers = parameters("nmpc"), ("nmpc", "ltv_mpc", "ltv_mpc_printed")
     runs = [Experiment(s, name, parameters=weights) for s, name in product(scenarios, controllers)]
     return _table(runs, "LTV against NMPC")

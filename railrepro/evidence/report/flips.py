@@ -1,7 +1,6 @@
 """Verdicts that flip with answers of the paper's authors to open questions: `python -m railrepro probe FILE.toml`.
-
-FILE.toml is a filled copy of data/answers.toml. Answers change the setup of the probe (`claims.probe`) in `paper`.
-"""
+FILE.toml is a filled copy of data/answers.toml. Answers change the setup of the probe (`claims.probe`) with exact
+measurements (setting "paper")."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle
@@ -54,9 +53,9 @@ def _setup(answered: Iterable[Question]) -> ProbeSetup:
 
 
 def flips(answered: Mapping[str, Question]) -> pd.DataFrame:
-    """Verdicts in the setting `paper` before and after answers to open questions: one row per statement. `answered`
-    maps names to questions with an answer. Only the runs that depend on an answer are simulated again. Columns id,
-    statement (its text), before, after (verdicts)."""
+    """Verdicts with exact measurements (setting "paper") before and after answers to open questions: one row per
+    statement with a verdict, changed or not. `answered` maps names to questions with an answer. Only the runs that
+    depend on an answer are simulated again. Columns id, statement (its text), before, after (verdicts)."""
     probed = _setup(answered.values())  # refuses a value before anything runs
     needed = {part for question in answered.values() for part in question.parts}
     rows = probe.probe(probed, [part for part in probe.PARTS if part in needed])
@@ -77,8 +76,9 @@ def flips(answered: Mapping[str, Question]) -> pd.DataFrame:
 
 def main(settings: Sequence[str] = ()) -> None:
     """Command `probe`: simulate the nominal car and write data/results/nominal_metrics.csv, a row per metric and run,
-    from which the statements are judged. `settings` are "paper", "swarm" or "loop" (default all). With the path of a
-    filled copy of data/answers.toml instead, print the statements whose verdict its answers change."""
+    from which the statements are judged. `settings` (default all) are "paper" (exact measurements), "swarm" (the same,
+    but poles of NDI by particle swarm) or "loop" (sensors). With the path of a filled copy of data/answers.toml
+    instead, print the statements whose verdict its answers change."""
     if not settings or not settings[0].endswith(".toml"):
         probe.main(settings)
         return

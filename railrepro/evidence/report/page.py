@@ -67,8 +67,9 @@ def main() -> int:
 
 class Page:
     """Functions and values for the Jinja templates of the report: REPLICATION.md, figures/README.md, README.md.
-    `judged` are verdicts as from `claims.evaluate`, `nominal` are the stored metrics. In all methods `setting` is
-    "paper", "swarm" or "loop", or "" for tables that do not depend on it; `identity` is the id of a statement, as
+    `judged` are verdicts from `claims.evaluate`, `nominal` stored metrics. In all methods `setting` says how
+    controllers were tuned and run: "paper", with exact measurements; "swarm", the same, but poles of NDI by particle
+    swarm; "loop", with sensors; or "" for tables that do not depend on it. `identity` is the id of a statement, as
     "C05"."""
 
     def __init__(self, judged: pd.DataFrame, nominal: Nominal):
@@ -152,8 +153,8 @@ class Page:
         return linked(self.e(setting, scenario, controller, metric), METRICS, unit)
 
     def sudden(self, metric: str, controller: str) -> list[float]:
-        """Metric (SI) of a controller in "paper" in the four runs with a sudden loss of adhesion (`statements.SUDDEN`),
-        in this order: both rails in traction, both in braking, left rail in traction, left rail in braking."""
+        """Metric (SI) of a controller with exact measurements ("paper") in four runs with sudden loss of adhesion
+        (`statements.SUDDEN`): both rails in traction, both in braking, left rail in traction, left rail in braking."""
         return [self.e(PAPER, case, controller, metric) for case in statements.SUDDEN]
 
     def find(self, identity: str, setting: str) -> statements.Finding:
@@ -190,11 +191,11 @@ class Page:
         return self.cell("settings_metrics", "value", metric="rmse_y", **where)
 
     def time(self, solver: str, column: str = "median_ms") -> float:
-        """Solution time (ms) of a `solver` in "paper": a `column` of solve_times.csv, its median over the scenarios."""
+        """Solution time (ms) of a `solver`, exact signals: a `column` of solve_times.csv, its median over scenarios."""
         return float(statements.usual_times(self.nominal.evidence(PAPER), solver, column).median())
 
     def value(self, identity: str) -> str:
-        """Value of a statement, in "paper" if it differs by setting, as Markdown link "[value unit](its table)"."""
+        """Value of a statement, with exact measurements if settings differ, as link "[value unit](its table)"."""
         headline = self.judged["setting"].isin(("", claims.HEADLINE))
         row = self.judged[(self.judged["id"] == identity) & headline].iloc[-1]
         return linked(number(row["measured_value"], row["unit"]), row["data"])

@@ -1,8 +1,6 @@
-"""Sentences of a notebook about its runs, each with the condition under which it is true.
-
-A cell shows its sentences as one paragraph. With the committed inputs a false sentence makes the run fail; with other
-values it is only marked as false.
-"""
+"""Sentences of a notebook about its runs, each with the condition under which it is true. A cell shows its sentences as
+one paragraph. With the committed inputs a false sentence makes the run fail; with other values it is only marked as
+false."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -26,11 +24,9 @@ class Sentences(list):
 @contextmanager
 def sentences() -> Iterator[Sentences]:
     """Collect sentences in a notebook cell (`with sentences() as says: says("…", holds)`) and display them at its end.
-
-    They become one paragraph with their number below it; those that do not hold are marked in words. A LookupError,
+    They become one paragraph, their count below it; those that do not hold are marked in words. A LookupError,
     ValueError or ArithmeticError in the block, such as from a missing value, ends the block; a last sentence that does
-    not hold then names the error.
-    """
+    not hold then names the error."""
     from IPython.display import display  # not needed outside of notebooks
 
     said = Sentences()

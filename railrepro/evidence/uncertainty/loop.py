@@ -100,12 +100,10 @@ def followed(run: simulate.Run, _experiment: Experiment) -> store.Entry:
 
 
 def table(runs: Sequence[Experiment]) -> pd.DataFrame:
-    """Run experiments in parallel and summarise them over the seeds: one row per kind, case and controller.
-
-    Columns kind, case, controller; seeds, number of runs; failed, number of failed runs; over the seeds that did not
-    fail, error_mm and rear_mm, root mean squares of those of `followed` (mm), activity_Nm, the mean of its torque above
-    5 Hz (N m), and spread_mm, the standard deviation of error_mm (mm); keys of `limit_of`.
-    """
+    """Run experiments in parallel and summarise them over the seeds: one row per kind, case and controller. Columns
+    kind, case, controller; seeds, number of runs; failed, number of failed runs; over the seeds that did not fail,
+    error_mm and rear_mm, root mean squares of those of `followed` (mm), activity_Nm, the mean of its torque above 5 Hz
+    (N m), and spread_mm, the standard deviation of error_mm (mm); keys of `limit_of`."""
 
     def driven(run: Experiment) -> dict:
         return run.label | {"controller": run.controller} | run.measured(followed)[0]

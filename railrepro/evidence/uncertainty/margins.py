@@ -19,8 +19,8 @@ LONGEST_MS = 15  # longest delay that is tried
 
 def delay_margin(setting: str, controller: str) -> float:
     """Find the largest delay (s) added to the torque command with which no flange is touched at 400 km/h on poor rail.
-    It is a whole number of milliseconds up to 15 ms; NaN if a flange is touched without added delay. `setting` ("paper"
-    or "loop") and `controller` (key of `registry.CONTROLLERS`) select the tuned parameters."""
+    It is a whole number of ms up to 15 ms; NaN if a flange is touched without added delay. `setting`, "paper" (exact
+    measurements) or "loop" (sensors), and `controller` (key of `registry.CONTROLLERS`) select tuned parameters."""
     sensors = {"seed": 101} | ({} if setting == LOOP else {"perfect": True})
     scenario, quick = load_scenario("adhesion_loss").but(end_m=600.0), CONTROLLERS[controller].quick
 

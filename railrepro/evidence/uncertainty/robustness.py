@@ -57,8 +57,9 @@ def prior() -> tuple[Dimension, ...]:
 @dataclass(frozen=True)
 class Sample:
     """One sampled combination of the parameters that the paper does not publish. `number` is its index in the Sobol
-    sequence of `draw`, `setting` is "paper", "swarm" or "loop". `values` are pairs of parameter name (see `prior`) and
-    value; parameters that are not named stay nominal."""
+    sequence of `draw`. `setting` says how its controllers are tuned and run: "paper", with exact measurements; "swarm",
+    the same, but poles of NDI by particle swarm; "loop", with sensors. `values` are pairs of parameter name (see
+    `prior`) and value; parameters that are not named stay nominal."""
 
     number: int
     setting: str
@@ -76,7 +77,8 @@ class Sample:
 
 
 def draw(count: int, settings: Sequence[str] = COLUMNS) -> list[Sample]:
-    """Draw `count` quasi-random samples of `prior` (scrambled Sobol sequence), the same for each of `settings`."""
+    """Draw `count` quasi-random samples of `prior` (scrambled Sobol sequence), the same for each of `settings`, by
+    default all three: "paper" (exact measurements), "swarm" (NDI's poles by particle swarm) and "loop" (sensors)."""
     dimensions = prior()
     points = stats.qmc.Sobol(len(dimensions), seed=SEED).random(count)
     values = [tuple((d.name, d.value(float(u))) for d, u in zip(dimensions, point, strict=True)) for point in points]
@@ -189,9 +191,9 @@ BY_POLE = ("C04", "C05", "C17", "C20", "C31")  # statements that they may decide
 
 
 def over_poles() -> pd.DataFrame:
-    """Judge five statements (`BY_POLE`) by triple pole of NDI (`POLES`) on the nominal car in the setting "paper". One
-    row per pole and statement. Columns poles (rad/s, as text; "swarm" for the parameters found by the swarm), id (of
-    the statement), value (in the unit of the statement), verdict (of `Statement.judge`)."""
+    """Judge five statements (`BY_POLE`) by triple pole of NDI (`POLES`) on the nominal car with exact measurements
+    (setting "paper"). One row per pole and statement. Columns poles (rad/s, as text; "swarm" for the parameters found
+    by the swarm), id (of the statement), value (in the unit of the statement), verdict (of `Statement.judge`)."""
     spread, known = Nominal().evidence(PAPER).spread, statements.load()
     worlds = {str(pole): setup({POLE: float(pole)}) for pole in POLES} | {SWARM: setup({}, SWARM)}
 
