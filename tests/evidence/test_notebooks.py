@@ -119,12 +119,9 @@ EDITS = [
     Edit("09", {"speed_kmh": 80.0, "r_factors": [1, 3, 10], "ndi_poles": [25], "reserves": [0.05, 0.1]}),
     Edit("09", cells={"room = tau_max - abs(du)": "room = 0.9 * tau_max"}),
     Edit("09", cells={".but(speed_kmh=speed_kmh)": '.but(speed_kmh=speed_kmh, track="T5")'}),
-    Edit("10", {"sensed_kmh": [20]}),
-    Edit("10", {"sensed": "ndi_feedforward"}),
     Edit("10", {"stress": {}}),
     Edit("10", {"controllers": ["ndi", "ndi_integral"], "judged": ["curve_entry_T3", "sine_tracking"]}, marks=True),
-    Edit("10", {"sensor_changes": {"gyro.noise": 0.0004}, "lags_ms": [5, 20]}),
-    Edit("10", {"sensor_changes": {"latency.measurement": 0.0}}),
+    Edit("10", {"lags_ms": [5, 20, 40]}, marks=True),
     Edit("11", {"changed": {"adhesion.poor.k_a": 0.3, "adhesion.poor.k_s": 0.1}}, marks=True),
     Edit("11", {"changed": {"adhesion.poor.mu0": 0.15}, "loss_m": 300.0}, marks=True, quick=True),
     Edit("11", {"loss_kmh": 100.0, "loss_m": 200.0}, marks=True),
@@ -151,6 +148,10 @@ EDITS = [
     Edit("15_car", texts=CONES),
     Edit("15_car", texts={VEHICLE: ('"k_x", value = 30000.0', '"k_x", value = 60000.0')}),
     Edit("15_car", cells={"cross(body.w, inertia * body.w + [0, h, 0])": "cross(body.w, inertia * body.w)"}),
+    Edit("16", {"sensed_kmh": [20]}, quick=True),
+    Edit("16", {"sensed": "ndi_feedforward"}),
+    Edit("16", {"sensor_changes": {"gyro.noise": 0.0004}}, marks=True),
+    Edit("16", {"sensor_changes": {"latency.measurement": 0.0}}),
 ]
 CASES = [
     pytest.param(edit, id=f"{edit.chapter}-{number}", marks=[] if edit.quick else pytest.mark.slow)
