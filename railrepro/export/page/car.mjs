@@ -159,13 +159,22 @@ export function score(rows) {
   };
 }
 
-/* Distance (m) by which y lags behind its set point: lag of the largest correlation of both, without their means, within 60 m. */
+/* Distance (m) by which y trails its set point, as metrics.delay: the lag within 60 m with the largest mean product of both, on a
+   grid of 0.1 m and without their linear trends. */
 function delay(p, y, y_ref) {
-  const step = 0.5, n = Math.floor((p.at(-1) - p[0]) / step), most = Math.min(120, n >> 1);
+  const step = 0.1, n = Math.ceil((p.at(-1) - p[0]) / step), most = Math.min(600, n >> 1), middle = (n - 1) / 2;
   let k = 0;
-  const grid = Array.from({ length: n }, (_, i) => { while (k < p.length - 2 && p[k + 1] < p[0] + i * step) k++; return k; });
-  const centred = (values) => { const on = grid.map((i) => values[i]), mean = on.reduce((a, b) => a + b, 0) / n; return on.map((v) => v - mean); };
-  const a = centred(y), b = centred(y_ref);
+  const grid = Array.from({ length: n }, (_, i) => {
+    while (k < p.length - 2 && p[k + 1] < p[0] + i * step) k++;
+    return [k, (p[0] + i * step - p[k]) / (p[k + 1] - p[k] || 1)];
+  });
+  const detrended = (values) => {
+    const on = grid.map(([at, part]) => values[at] + part * (values[at + 1] - values[at]));
+    const mean = on.reduce((a, b) => a + b, 0) / n;
+    const slope = 12 * on.reduce((sum, v, i) => sum + v * (i - middle), 0) / (n * (n * n - 1));
+    return on.map((v, i) => v - mean - slope * (i - middle));
+  };
+  const a = detrended(y), b = detrended(y_ref);
   if (Math.max(...b) - Math.min(...b) < 1e-9) return NaN;
   let best = [-Infinity, 0];
   for (let lag = -most; lag <= most; lag++) {
