@@ -44,9 +44,9 @@ _MPC = (*_RANGES, "r", "q_terminal")
 
 
 def mpc_settings(parameters: dict) -> MPCSettings:
-    """Make `MPCSettings` from tuning parameters (dict): weights q_psi_TrAx (1/rad^2), q_psidot_Ax (s^2/rad^2),
-    period_ms, horizon_s (limited to 5 to 100 steps), and fields of `MPCSettings` such as r. the weight of y_TrAx is
-    1/m^2, other states have 0."""
+    """Make `MPCSettings` from tuning parameters (dict): weights q_psi_TrAx (1/rad^2) and q_psidot_Ax (s^2/rad^2); the
+    sampling time period_ms; horizon_s, limited to 5 to 100 steps; other fields of `MPCSettings`, such as r. The weight
+    of y_TrAx is 1/m^2, that of other states 0."""
     p = dict(parameters)
     for name, allowed in _RANGES.items():
         require(f"MPC: {name}", p[name], allowed)

@@ -22,7 +22,7 @@ SEED = Annotated[int, between(0, 2**63)]
 
 @dataclass(frozen=True)
 class Task:
-    """Tuning task of one setting of comparison: what a swarm searches, and the simulated runs by which it judges.
+    """Tuning task of one setting: what a swarm searches, and the simulated runs by which it judges.
 
     Attributes:
         setting: "paper" (exact measurements) or "loop" (sensors with noise and delays).

@@ -49,15 +49,14 @@ SHARES = (0.0, 0.02, 0.03, 0.045, 0.07, 0.1, 0.15, 0.22, 0.33)
 """Fixed shares of the torque for guidance (-), tried from below: too large a share lengthens the run and its error."""
 # Sudden loss of adhesion
 PATCH, CHECKED = (300.0, 500.0), 100.0
-"""Begin and end of the very poor rail, and the distance before it on which operation must be regular (m): the adhesion
-law has climbed to its set point by 160 m."""
+"""Begin and end of the very poor rail, and the distance before it on which operation must be regular (m)."""
 NO_SLIP_CONTROL = AdhesionSettings(active=False)
 
 _FOLLOWING = ("rmse_y", "largest_error", "mean_error_last_third", "effort_du")
 _METRES = (*_FOLLOWING[:3], "delay", "shortest_wave", "shortfall", "ndi_later", "stopping_distance", "rail_rmse_y")
 UNITS = dict.fromkeys(_METRES, "m") | {"effort_du": "N m"}
 Measured = Iterator[tuple[str, str, dict[str, float]]]
-"""What a part of a probe yields: scenario, controller, value by metric."""
+"""What a group of runs yields, run by run: scenario, controller, and a dict metric -> value (SI)."""
 
 # The functions following, entering, losing, slipping, riding and braked are measures for `Experiment.measured`: they
 # return a pair, metrics by name and a DataFrame or None. A failed run has few metrics; its `failed` is 1.
@@ -398,9 +397,8 @@ def oscillation(series: pd.DataFrame) -> dict[str, float]:
 
 
 def deviation(series: pd.DataFrame, begin: float, end: float) -> float:
-    """Compute the mean relative deviation |f - f*| / |f*| (-) of the adhesion f from its set point f*. The mean is over
-    the rows of `series` (`metrics.gear_series`) from p = `begin` to p = `end` (m), inf without rows; f is the mean
-    adhesion of both wheels of a running gear."""
+    """Compute the mean relative deviation |f - f*| / |f*| (-) of the adhesion f from its set point f*, over the rows of
+    `series` (`metrics.gear_series`) from p = `begin` to `end` (m); inf without rows. f is the mean of front wheels."""
     rows = series[series["front.p"].between(begin, end, inclusive="left")]
     if rows.empty:
         return float("inf")

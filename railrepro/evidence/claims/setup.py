@@ -74,7 +74,7 @@ class ProbeSetup(World):
 SWARM = "swarm"
 COLUMNS = (PAPER, SWARM, LOOP)
 """Columns of verdicts, by how controllers are tuned and run: "paper" (exact measurements), "swarm" (the same, but NDI
-has the poles that a particle swarm found in place of those by the rule), "loop" (sensors)."""
+has the poles that a particle swarm found, not the fastest within the stability margin), "loop" (sensors)."""
 LTV_R, POLE, PROFILE, SWEEP = "ltv_mpc_printed.r", "ndi.pole", "profile", "brake_sweep"
 _CHOICES = {one.name for one in fields(ProbeSetup)} - {one.name for one in fields(World)}
 """Fields of `ProbeSetup` that may be keys of the argument `values` of `setup`."""

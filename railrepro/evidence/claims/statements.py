@@ -149,8 +149,8 @@ class Statement:
                 raise ValueError(f"holds above {low} and below {high}, a lower limit below the upper one is needed")
 
     def judge(self, finding: Finding) -> str:
-        """Return the verdict on a finding, the first that applies. "reproduced": `value` is between `above` and `below`
-        by more than a factor exp(tie). "tie": it is within this factor of a limit. "partly": `Finding.weaker` (or
+        """Return the first verdict that applies. "reproduced": `finding.value` is between `above` and `below` by more
+        than a factor exp(tie). "tie": it is within this factor of a limit. "partly": `finding.weaker` (without it
         `value`) is between `partly_above` and `partly_below` (without both: `above` and `below`). Else "not
         reproduced"."""
         limits = self.above, self.below
@@ -464,9 +464,9 @@ VALUES: dict[str, Callable[[Evidence], Finding | float]] = {
     "C51": _because_of_preview,
     "C52": _robust,
 }
-"""Statement id -> its predicate, a function of `Evidence` that returns a `Finding` or its value."""
+"""Statement id -> function of `Evidence` that returns its `Finding`, or only the value of it."""
 TABLES = dict.fromkeys(VALUES, "nominal_metrics") | {
     **{"C01": "table1", "C26": "adhesion_map", "C27": "adhesion_law"},
     **dict.fromkeys(("C14", "C15", "C44"), "solve_times"),
 }
-"""Statement id -> name of the only table of data/results that its predicate reads."""
+"""Statement id -> name of the only table of data/results from which it is judged."""

@@ -120,11 +120,11 @@ class Page:
         return table
 
     def text(self, text: str) -> str:
-        """Return a text with its Jinja expressions, as in `Thesis.says`, replaced by their values."""
+        """Return a text, as a sentence of data/theses.toml, with its Jinja expressions replaced by their values."""
         return self._jinja.from_string(text).render()
 
     def true(self, condition: str) -> bool:
-        """Whether a Jinja condition, as in `Thesis.true`, holds; False when the results lack a needed value."""
+        """Whether a Jinja condition, such as one of data/theses.toml, holds; False when the results lack a value."""
         try:
             return bool(self._jinja.compile_expression(condition, undefined_to_none=False)())
         except statements.MissingEvidence:

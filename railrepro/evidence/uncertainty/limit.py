@@ -58,9 +58,10 @@ class System(NamedTuple):
 
 def system(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float]) -> System:
     """Build the linear system of a running gear at a constant speed (m/s) with the sensors `loop`. `walks` are the
-    intensities of the random walks of lateral force (N/s^0.5) and yaw moment (N m/s^0.5). States: displacement y, its
-    velocity vy, yaw angle psi, yaw rate r, difference E of wheel speeds, motor torque tau (as in `gear_model`); force
-    and moment; biases of y, psi, r; the last d + 1 torque commands, newest first, d the delay (ms, at least 1)."""
+    intensities of the random walks of lateral force (N/s^0.5) and yaw moment (N m/s^0.5). States: displacement y and
+    lateral velocity vy; yaw angle psi and yaw rate r against the track; half the difference E of wheel speeds;
+    differential torque tau; force and moment; biases of y, psi, r; the last d + 1 torque commands, newest first, d the
+    delay (ms, at least 1)."""
     h, n = CONTROL_PERIOD, len(STATES)
     rates, du, _, unknown = lateral_model(vehicle, speed)
     inputs = np.column_stack([du, unknown])
