@@ -26,7 +26,9 @@ Value = TypeVar("Value")
 
 
 def product(relative: str) -> Path:
-    """Return the path to write a product, such as "data/results/f.csv", in the output folder, which is made."""
+    """Return the path to write a product, such as "data/results/f.csv", and create its folder, not the file. It is
+    below the folder in the environment variable `RAILREPRO_OUTPUT`, else in a JupyterLab notebook below
+    build/tried/NAME of the checkout, else below `ROOT`, the checkout (or working folder)."""
     path = (_redirected() or ROOT) / relative
     path.parent.mkdir(parents=True, exist_ok=True)
     return path

@@ -10,8 +10,8 @@ import numpy as np
 
 
 class Stages:
-    """Symbols for intermediate results of a large expression, so that its Jacobian follows the chain rule: a force law
-    is differentiated by its few arguments, which costs much less than by all states."""
+    """Store of intermediate results of a large expression, with symbols in their place, so that its Jacobian follows
+    the chain rule: a force law is differentiated by its few arguments, which costs less than by all states."""
 
     def __init__(self) -> None:
         self._held: list[tuple[ca.SX, ca.SX]] = []
@@ -33,7 +33,8 @@ class Stages:
         return expression
 
     def jacobian(self, expression: ca.SX, x: ca.SX) -> ca.SX:
-        """Differentiate an expression (n, 1) by the symbols x (m, 1): shape (n, m), resolved, by the chain rule."""
+        """Differentiate an expression (n, 1), which may contain symbols from `hold`, by the symbols x (m, 1): shape (n,
+        m). In the result each symbol from `hold` is replaced by the expression that it stands for."""
         totals: list[ca.SX] = []
         for definition in (*(definition for _, definition in self._held), expression):
             total = ca.jacobian(definition, x)

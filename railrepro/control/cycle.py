@@ -28,13 +28,13 @@ def _sizes(signature: law.LawSignature, parameters: int) -> dict[str, int]:
 
 def c_text(signature: law.LawSignature, parameters: int, planners: str = SLOTS) -> str:
     """C text of the control cycle of both gears, to be placed after the preamble call.h and the C generated from
-    `law.function`. `parameters` is the number of run-time parameters: the names of `signature.Gains`, in an export then
-    those of slower controllers, such as weights of MPC. `planners` is the C of the slower controllers. In runs it is
-    `SLOTS`, which calls each by the pointer that `ClosedLoop.connect` sets to its C function (memory, states, readings,
-    base torque) -> differential torque. An export has no such pointers and passes the C of the controllers itself. It
-    defines planner_memory_t, the type of the memory m of one gear; planner_reset(m, gear, parameters), to initialise
-    it; planner_link(m, gear, parameters, cells), to set its pointers to run-time parameters and rows of the route;
-    planner_sample(m, states, readings, base torque), the differential torque (N m)."""
+    `law.function`. `parameters` is how many run-time parameters it has, numbers that may change without compiling
+    again: one per name of `signature.Gains`, in an export also one per parameter of the slower controllers, such as
+    weights of MPC. `planners` is the C of the slower controllers. In runs it is `SLOTS`, which calls each by the
+    pointer that `ClosedLoop.connect` sets; an export passes the C of the controllers itself. In both cases it must
+    define four symbols: planner_memory_t, the type of the memory m of one gear; planner_reset(m, gear, parameters),
+    which initialises it; planner_link(m, gear, parameters, cells), which sets its pointers to run-time parameters and
+    rows of the route; planner_sample(m, states, readings, base torque), which returns the differential torque (N m)."""
     measured, memory, read = indices(interface.Measured), indices(signature.Memory), interface.READ
     places: dict[str, int | str] = {"GEAR_MEASURED": measured.rear.p - measured.front.p, "BASE": memory.front.u}
     places |= {"GEAR_MEMORY": memory.rear.u - memory.front.u, "N_READINGS": len(read), "ESTIMATED": 0, "READ": 0}

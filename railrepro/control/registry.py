@@ -1,6 +1,6 @@
-"""The lateral controllers by name, and their tuned parameters. A new controller is one entry of `CONTROLLERS`. Tuned
-parameters are in data/tuned, one file per setting and controller; data/tuning.toml has those that a designer chose.
-Serves the paper's section Multi-Body Simulation Results."""
+"""The lateral controllers by name, and their tuned parameters. A new one is an entry of `CONTROLLERS`. data/tuned has
+tuned parameters, by setting ("paper": exact measurements, "loop": sensors) and controller; data/tuning.toml has those
+that a designer chose. Serves the paper's section Multi-Body Simulation Results."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -25,11 +25,11 @@ PAPER, LOOP = SETTINGS
 
 @dataclass(frozen=True)
 class Controller:
-    """Entry of `CONTROLLERS`: how a lateral controller is made from its tuning parameters. `settings` makes settings,
-    such as `MPCSettings` or `NDI`, from a dict of tuning parameters, of which `needed` have no default. `build` makes
-    from settings the guidance for `simulate.run`, a 1 kHz law or a factory. `preview` says whether the controller knows
-    set point and track ahead. `quick` has the `options` of `guidance` for studies: a faster solver with nearly the same
-    torques."""
+    """Entry of `CONTROLLERS`: how a lateral controller is made from its tuning parameters. `settings` makes a settings
+    object, such as `MPCSettings` or `NDI`, from a dict of tuning parameters, of which `needed` have no default. `build`
+    makes from it what `simulate.run` takes: a law that is called every ms, or a factory, which from vehicle, route,
+    gear makes a slower one such as MPC. `preview` says whether the controller knows set point and track ahead. `quick`
+    has constructor arguments of MPC for studies, as {"solver": "rti"}, a faster solver with nearly equal torques."""
 
     build: Callable
     settings: Callable
@@ -44,9 +44,9 @@ _MPC = (*_RANGES, "r", "q_terminal")
 
 
 def mpc_settings(parameters: dict) -> MPCSettings:
-    """Make `MPCSettings` from a dict of tuning parameters: q_psi_TrAx (1/rad^2), q_psidot_Ax (s^2/rad^2), period_ms,
-    horizon_s, and fields of `MPCSettings` such as r. The weight of y_TrAx is 1/m^2, and that of other states 0. The
-    horizon is limited to 5 to 100 steps."""
+    """Make `MPCSettings` from tuning parameters (dict): weights q_psi_TrAx (1/rad^2) and q_psidot_Ax (s^2/rad^2); the
+    sampling time period_ms; horizon_s, limited to 5 to 100 steps; other fields of `MPCSettings`, such as r. The weight
+    of y_TrAx is 1/m^2, that of other states 0."""
     p = dict(parameters)
     for name, allowed in _RANGES.items():
         require(f"MPC: {name}", p[name], allowed)
@@ -102,7 +102,7 @@ CONTROLLERS = {
 }
 INVERSIONS = ("ndi", "ndi_feedforward", "ndi_integral")
 BY_SWARM = tuple(f"{name}_swarm" for name in INVERSIONS)
-"""The inversions with poles by the swarm. With sensors (setting "loop") the `INVERSIONS` themselves have them."""
+"""The inversions with poles found by particle swarm. With sensors (setting "loop") the `INVERSIONS` have such poles."""
 CONTROLLERS |= {f"{name}_swarm": CONTROLLERS[name] for name in INVERSIONS}
 REPLICATED = ("nmpc", "nmpc_observer", "ltv_mpc", "ltv_mpc_printed", *INVERSIONS)
 """The paper's methods and their variants, in the order in which chapters show them."""
@@ -121,10 +121,10 @@ def with_r_times(parameters: dict, factor: float) -> dict:
 
 
 def guidance(name: str, parameters: dict, options: dict | None = None, **changes):
-    """Make a lateral controller for `simulate.run`. InputError for an unknown name or argument. `name` is a key of
-    `CONTROLLERS`, such as "nmpc", `parameters` a dict of its tuning parameters, as from `registry.parameters`.
-    `options` are further arguments of a predictive controller, such as {"solver": "rti"}; `changes` are fields of
-    `MPCSettings` or `NDI` that replace those from `parameters`."""
+    """Make a lateral controller for `simulate.run`: a 1 kHz law, or a factory of slower controllers such as MPC.
+    InputError for an unknown name or argument. `name` is a key of `CONTROLLERS`, such as "nmpc", `parameters` a dict of
+    its tuning parameters, as from `registry.parameters`. `options` are further constructor arguments of MPC, such as
+    {"solver": "rti"}; `changes` are fields of `MPCSettings` or `NDI` that replace those from `parameters`."""
     require("controller", name, str)
     if name not in CONTROLLERS:
         raise InputError(f"controller {name!r} is not known; there are {sorted(CONTROLLERS)}")
@@ -143,9 +143,10 @@ def guidance(name: str, parameters: dict, options: dict | None = None, **changes
 
 
 def read(controller: str, setting: str = PAPER, folder: Path | None = None) -> dict:
-    """Read <controller>.json from `folder`, by default data/tuned/<setting>. Returns a dict with the keys "controller",
-    "setting" and "parameters", and with the origin of the parameters. InputError if the file is missing, has no
-    "parameters", or names another controller or setting."""
+    """Read <controller>.json from `folder`, by default data/tuned/<setting>. `setting` says in which conditions the
+    controller was tuned, "paper" (exact measurements) or "loop" (sensors, delays). Returns a dict with the keys
+    "controller", "setting" and "parameters", and with the origin of the parameters. InputError if the file is missing,
+    has no "parameters", or names another controller or setting."""
     file = (folder or paths.source(f"{TUNED}/{setting}")) / f"{controller}.json"
     if not file.exists():
         raise InputError(f"{setting}/{file.name}: there is no tuned set for {controller!r}; `make tune` makes it")
@@ -161,10 +162,9 @@ def read(controller: str, setting: str = PAPER, folder: Path | None = None) -> d
 
 def tuned_set(controller: str, setting: str = PAPER) -> dict:
     """Tuned parameters of a controller in a setting, "paper" (exact signals) or "loop" (sensors, delays): a dict with
-    "controller", "setting" and "parameters" (name -> value; the function `parameters` returns only these). Parameters
-    that a swarm or rule found are in a file of data/tuned; its further entries, such as "cost", are in the dict, too.
-    Those that a person chose are in data/tuning.toml, table [setting.SETTING.designed]. InputError for an unknown
-    setting, or without parameters."""
+    "controller", "setting" and "parameters" (name -> value; the function `parameters` returns only these). Those that a
+    swarm or rule found are in a file of data/tuned, whose further entries, such as "cost", are in the dict, too; those
+    that a person chose are in data/tuning.toml. InputError for an unknown setting, or without parameters."""
     require("controller", controller, str)
     require("setting", setting, str)
     if setting not in SETTINGS:
@@ -183,6 +183,7 @@ def parameters(controller: str, setting: str = PAPER) -> dict:
 
 
 def tuned(controller: str, options: dict | None = None, setting: str = PAPER, **changes):
-    """Make a lateral controller, a key of `CONTROLLERS`, with its tuned parameters for `simulate.run`. It was tuned in
-    the `setting` "paper" (true states) or "loop" (sensors, delays). `options` and `changes` are as in `guidance`."""
+    """Make a lateral controller, a key of `CONTROLLERS`, for `simulate.run`, with the parameters tuned in the `setting`
+    "paper" (exact signals) or "loop" (sensors, delays). `options` are further constructor arguments of MPC, such as
+    {"solver": "rti"}; `changes` are fields of `MPCSettings` or `NDI` that replace tuned ones."""
     return guidance(controller, parameters(controller, setting), options, **changes)

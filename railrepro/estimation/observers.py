@@ -108,9 +108,8 @@ def lateral_matrices(vehicle: Vehicle, speed: float) -> tuple[np.ndarray, np.nda
 
 
 def _stationary(a, c, q, r) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the stationary Kalman gain, and the covariance after a reading. The system is x' = a x + noise with the
-    spectral density q; c x is read every ms with covariance r. Source: Van Loan 1978; Anderson and Moore 1979, Optimal
-    Filtering, ch. 4."""
+    """Compute the stationary Kalman gain, and the covariance after a reading. The system is x' = a x + noise of
+    spectral density q; c x is read every ms, covariance r. Source: Van Loan 1978; Anderson and Moore 1979, ch. 4."""
     n = len(a)
     both = expm(np.block([[-a, q], [np.zeros((n, n)), a.T]]) * CONTROL_PERIOD)
     step = both[n:, n:].T
@@ -154,14 +153,13 @@ def stationary_gains(vehicle: Vehicle, loop: Loop) -> FilterGains:
 def observe(
     readings: Signals, commands: Sequence[list], track: Any, ticks, sensor: SensorGains, gain: Any, memory: FilterState
 ) -> tuple[Estimates, FilterState]:
-    """Correct the filters of a gear by the readings of this cycle, and predict to the time when a torque acts.
-
-    Returns the `Estimates` at that time, and the corrected `FilterState` at the time of the readings. Numbers are SX.
+    """Correct the filters of a gear by the readings of this cycle, and predict to the time when a torque acts. Returns
+    the `Estimates` at that time, and the corrected `FilterState` at the time of the readings. Numbers are SX.
     `commands` has two lists, torques sent to the left and the right wheel before this cycle (N m), newest first.
-    `track` has curvature and angles of the track at the gear (`lateral.TrackInputs`), `gain` the gains of law and
-    filters, `sensor` the delays. `ticks` counts control cycles from the start; at 0 the readings set the states.
-    `memory` are states that `advance` predicted in the previous cycle for the time of the readings.
-    """
+    `track` has curvature and angles of the track at the gear (`lateral.TrackInputs`). `gain` is a `law.SensedGains`:
+    `filter` has the Kalman gains (`FilterGains`), `model`, `drive`, `nominal_load` the nominal vehicle, motor and wheel
+    load. `sensor` has the delays. `ticks` counts control cycles from the start; at 0 the readings set the states.
+    `memory` are states that `advance` predicted in the previous cycle for the time of the readings."""
     planes = readings.y_ahead, readings.y_behind
     read = sum(planes) / 2, (planes[0] - planes[1]) / sensor.base, readings.psidot_Ax
     le, ri = WheelState(0, readings.w_le, 0), WheelState(0, readings.w_ri, 0)
@@ -191,7 +189,7 @@ def observe(
 
 def advance(x: FilterState, commands: Sequence[list], track: Any, sensor: SensorGains, gain: Any) -> FilterState:
     """Predict `x`, the corrected `FilterState` of `observe`, by a control cycle; the result is `memory` of the next
-    `observe`. Of the arguments, as in `observe`, only `commands` differ: they begin with the torques of this cycle."""
+    `observe`. Arguments are those of that `observe`, but `commands` begin with the torques of this cycle."""
     h, model = CONTROL_PERIOD, gain.model
 
     def wheel(state: WheelState, line: list) -> WheelState:

@@ -1,10 +1,10 @@
-"""Symbolic derivation of the control-oriented model, as printed in the paper and corrected.
-
-The five coordinates are path x, yaw angle psi, lateral displacement y and both wheel angles. Rolling and the lateral
-kinematics are non-holonomic constraints on their rates, which leave two rates free. The corrected model is the
-projection of Lagrange's equations on the free rates (Jourdain's principle). The paper inserts the constraints into the
-energies first (erratum D1). An argument `discrepancies` is the set of the errata to keep, such as "D1". Serves the
-paper's section Control-Oriented Model.
+"""Symbolic derivation of the control-oriented model, as printed in the paper and corrected. The five coordinates are
+path x, yaw angle psi, lateral displacement y and both wheel angles. Rolling and the lateral kinematics are
+non-holonomic constraints on their rates, which leave two rates free. The corrected model is the projection of
+Lagrange's equations on the free rates (Jourdain's principle). Errata are errors in the paper's equations. An argument
+`discrepancies` is the set of errata that stay as printed, all others are corrected: "D1", the constraints are inserted
+into the energies first; "D2", wheel energy; "D3", yaw rate in rolling; "D7", roll of the suspension. Other names have
+no effect. Serves the paper's section Control-Oriented Model.
 """
 
 from functools import lru_cache
@@ -46,8 +46,9 @@ def time_derivative(expression: sp.Expr, rate_of_rates: dict) -> sp.Expr:
 
 
 def constraints(discrepancies: frozenset[str]) -> dict[sp.Symbol, sp.Expr]:
-    """Constraints of lateral kinematics and ideal rolling, with the errata to keep: a dict from the dependent rates yd
-    (m/s), thd_ri and thd_le (rad/s) to expressions in the free rates xd and psid. Source: eqs. (9), (12)."""
+    """Constraints of lateral kinematics and ideal rolling: a dict from the dependent rates yd (m/s), thd_ri and thd_le
+    (rad/s) to expressions in the free rates xd and psid. `discrepancies` names the printed errors that stay
+    uncorrected; here "D3" acts: the turning rate of the track counts twice. Source: eqs. (9), (12)."""
     turning = psid + kappa * xd if "D3" in discrepancies else psid
     spin_ri = -(xd - arm["ri"] * turning) / radius["ri"]
     spin_le = -(xd + arm["le"] * turning) / radius["le"]
@@ -61,7 +62,8 @@ def wheel_rotation(spin: sp.Expr) -> sp.Matrix:
 
 
 def kinetic_energy(discrepancies: frozenset[str]) -> sp.Expr:
-    """Kinetic energy (J) in terms of all `rates`, with the errata to keep, such as "D2". Source: eq. (13a)."""
+    """Kinetic energy (J) in terms of all `rates`. `discrepancies` names the printed errors that stay uncorrected; here
+    only "D2" acts: the wheels have the energy of the sum of their angular velocities. Source: eq. (13a)."""
     height_rate = sp.diff(height, psi) * (psid - kappa * xd) + sp.diff(height, y) * yd
     inertia = sp.diag(J_Wz, J_Wy, J_Wz)
     w_ri, w_le = wheel_rotation(thd_ri), wheel_rotation(thd_le)
@@ -74,13 +76,15 @@ def kinetic_energy(discrepancies: frozenset[str]) -> sp.Expr:
 
 
 def potential_energy(discrepancies: frozenset[str]) -> sp.Expr:
-    """Potential energy (J) of springs and weight, with the errata to keep, such as "D7". Source: eq. (13b)."""
+    """Potential energy (J) of springs and weight. `discrepancies` names the printed errors that stay uncorrected; here
+    only "D7" acts: the roll spring deflects by the absolute roll, not by that against the track. Source: eq. (13b)."""
     deflection = roll if "D7" in discrepancies else roll - phi_Tr
     return (k_sz * (psi - psi_CB) ** 2 + k_sx * deflection**2) / 2 - m * g * height
 
 
 def dissipation(discrepancies: frozenset[str]) -> sp.Expr:
-    """Rayleigh dissipation (W), half the power lost in dampers, with the errata to keep. Source: eq. (13c)."""
+    """Rayleigh dissipation (W), half the power lost in dampers. `discrepancies` names the printed errors that stay
+    uncorrected; here only "D7" acts: the roll damper sees the absolute roll rate. Source: eq. (13c)."""
     deflection_rate = roll_rate if "D7" in discrepancies else -gamma * yd
     return (k_dz * (psid - kappa_CB * xd) ** 2 + k_dx * deflection_rate**2) / 2
 
@@ -101,7 +105,7 @@ def lagrange(coordinate: sp.Symbol, rate: sp.Symbol, energies: tuple, rate_of_ra
 
 def derivatives_first(energies: tuple, dependent: dict) -> sp.Matrix:
     """Corrected order of steps: Lagrange's equations of all five coordinates, then their projection on the two free
-    rates, shape (2, 1). `dependent` maps each dependent rate to its expression, see `constraints`."""
+    rates, shape (2, 1). `energies` are kinetic, potential, dissipation; `dependent` is from `constraints`."""
     free = {xd: xdd, psid: psidd}
     changes = free | {rate: time_derivative(e, free).subs(yd, dependent[yd]) for rate, e in dependent.items()}
     total = sp.zeros(2, 1)
@@ -112,9 +116,9 @@ def derivatives_first(energies: tuple, dependent: dict) -> sp.Matrix:
 
 
 def constraints_first(energies: tuple, dependent: dict) -> sp.Matrix:
-    """Left sides of Lagrange's equations of path and yaw angle, shape (2, 1), by the paper's order of steps (erratum
+    """Left sides of Lagrange's equations of path and yaw angle, shape (2, 1), by the paper's order of steps (its error
     D1): the constraints are inserted into the `energies` (kinetic, potential, dissipation) before Lagrange's equations
-    are applied. `dependent` maps each dependent rate to its expression, see `constraints`."""
+    are applied. `dependent` maps each dependent rate to its expression, from `constraints`."""
     t, v, d = energies
     reduced, free = (t.subs(dependent), v, d.subs(dependent)), {xd: xdd, psid: psidd}
     return sp.Matrix([lagrange(q, rate, reduced, free) for q, rate in ((x, xd), (psi, psid))]).subs(dependent)
@@ -122,8 +126,9 @@ def constraints_first(energies: tuple, dependent: dict) -> sp.Matrix:
 
 @lru_cache
 def equations(discrepancies: frozenset[str] = frozenset()) -> tuple[sp.Matrix, sp.Matrix]:
-    """Derive the equations of motion M a + h = 0 of the accelerations a = (xdd, psidd). Returns the SymPy matrices
-    M (2, 2) and h (2, 1). Without `discrepancies` they are those of the corrected model."""
+    """Derive the equations of motion M a + h = 0 of the accelerations a = (xdd, psidd). Returns the SymPy matrices M
+    (2, 2) and h (2, 1). `discrepancies` names the printed errors that stay uncorrected, of "D1", "D2", "D3", "D7"
+    (other names have no effect); without it the model is the corrected one."""
     energies = tuple(energy(discrepancies) for energy in (kinetic_energy, potential_energy, dissipation))
     order = constraints_first if "D1" in discrepancies else derivatives_first
     residual = order(energies, constraints(discrepancies)) - sp.Matrix(generalised_forces())

@@ -35,10 +35,10 @@ def driven(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def run_cost(parts: dict, cost: dict) -> float:
-    """Cost of a run (-) from its metrics `parts` (dict of `driven`) and the table `cost` of data/tuning.toml, lower is
-    better. It is 1e3 rmse_y / y_scale_mm + weight effort_du / du_scale_Nm + activity_weight max(activity_du /
-    activity_Nm - 1, 0), or failure (2 - done) for a failed run. rmse_y is the lateral error, effort_du the differential
-    torque, activity_du its part above 5 Hz, done the fraction of the distance before the failure."""
+    """Cost of a run (-), lower is better, from its metrics `parts` (dict of `driven`) and the table `cost` of
+    data/tuning.toml: 1e3 rmse_y / y_scale_mm + weight effort_du / du_scale_Nm + activity_weight max(activity_du /
+    activity_Nm - 1, 0), or failure (2 - done) for a failed run. rmse_y is the lateral error, effort_du the torque,
+    activity_du its part above 5 Hz, done, fraction driven; other names are entries of `cost`."""
     if parts["failed"]:
         return cost["failure"] * (2 - parts["done"])
     beyond = max(parts["activity_du"] / cost["activity_Nm"] - 1, 0.0)
@@ -47,8 +47,8 @@ def run_cost(parts: dict, cost: dict) -> float:
 
 
 def missed(controller: str, task: Task, parameters: dict, speeds_kmh: Sequence[float]) -> float:
-    """Cost (-) of a parameter set that misses the least disk margin of the task, failure (2 - margin / least), at the
-    first such speed of `speeds_kmh`; 0 if it keeps the margin at all of them."""
+    """Cost (-) of a parameter set whose disk margin is below least = `task.margin["least"]` at one of `speeds_kmh`: F
+    (2 - margin / least) at the first such speed, F = `task.cost["failure"]`, the cost of a failed run; else 0."""
     least = task.margin["least"]
     smallest = margin.smallest(controller, parameters, speeds_kmh, least, task.sensed)
     return task.cost["failure"] * (2 - smallest / least) if smallest < least else 0.0

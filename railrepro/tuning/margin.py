@@ -67,14 +67,12 @@ def disk_margin(values: np.ndarray) -> float:
 def sensitivity(
     law, speed_kmh: float, sensors: dict | None = None, vehicle: Vehicle | None = None
 ) -> np.ndarray | None:
-    """Measure the sensitivity S = 1 / (1 + L) at the differential torque of the front gear, on straight dry track.
-
-    It compares a run with the disturbance `multisine` to one without. Returns the complex ratio of torque to
-    disturbance at `FREQUENCIES`, or None when a run fails or the loop is unstable. `law` is a lateral controller as
-    from `registry.guidance`: an object with `torque(q)`, such as `NDI()`, or a factory, such as of NMPC. `vehicle` is
-    simulated and assumed by it, default data/vehicle.toml. `sensors` are arguments of `sensors.readings`; their noise
-    is equal in both runs and cancels.
-    """
+    """Measure the sensitivity S = 1 / (1 + L) at the differential torque of the front gear, on straight dry track. It
+    compares a run with the disturbance `multisine` to one without. Returns the complex ratio of torque to disturbance
+    at `FREQUENCIES`, or None when a run fails or the loop is unstable. `law` is a lateral controller as from
+    `registry.guidance`: an object with `torque(q)`, such as `NDI()`, or a factory, which makes a slower controller such
+    as NMPC per gear. `vehicle` is simulated and assumed by it, default data/vehicle.toml. `sensors` are arguments of
+    `sensors.readings`; their noise is equal in both runs and cancels."""
     end = (WINDOW + SETTLED + 0.1) * speed_kmh / 3.6
     scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=speed_kmh, end_m=end)
     seen = readings(**sensors) if sensors else None
@@ -131,8 +129,9 @@ def smallest(
     sensed: bool = False,
     vehicle: Vehicle | None = None,
 ) -> float:
-    """Smallest disk margin (-) of a controller over speeds; the first below `least` ends the search; inf without
-    speeds. The other arguments are as in `peaks`."""
+    """Smallest disk margin (-) over speeds of a controller (key of `CONTROLLERS`) with tuning `parameters`; the first
+    below `least` ends the search; inf without speeds. `sensed` says whether it has sensors, `vehicle` is the car,
+    default data/vehicle.toml."""
     margin = float("inf")
     for speed in speeds_kmh:
         margin = min(margin, peaks(controller, parameters, speed, sensed, vehicle)["disk_margin"])

@@ -9,7 +9,8 @@ from railrepro import data, paths
 from railrepro.control.registry import PAPER, TUNED, tuned_set
 
 load = tuned_set
-"""Load the tuned set of a controller in a setting of comparison, see `registry.tuned_set`."""
+"""Load the parameters of a controller tuned in a setting, "paper" (exact measurements) or "loop" (sensors): a dict with
+the keys "controller", "setting", "parameters" and others (`registry.tuned_set`)."""
 
 
 def save(result: dict, folder: Path) -> None:
@@ -23,6 +24,6 @@ def save(result: dict, folder: Path) -> None:
 
 
 def particles(controller: str, setting: str = PAPER) -> pd.DataFrame:
-    """Read all parameter sets that the swarms of a controller evaluated, a row each: columns seed (of the swarm),
-    iteration, particle, cost (-) and each parameter."""
+    """Read all parameter sets that the swarms of a controller evaluated, a row each: seed (of the swarm), iteration,
+    particle, cost (-), each parameter. `setting`: "paper" (exact measurements) or "loop" (sensors)."""
     return pd.read_csv(paths.source(f"{TUNED}/{setting}/{controller}_particles.csv"))

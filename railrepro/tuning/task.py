@@ -1,4 +1,4 @@
-"""Tuning tasks of data/tuning.toml: runs, cost, budget and searched parameters for each setting of comparison."""
+"""Tuning tasks of data/tuning.toml (runs, cost, bounds): "paper" for exact measurements, "loop" for sensors."""
 
 import reprlib
 from collections.abc import Iterable
@@ -22,7 +22,7 @@ SEED = Annotated[int, between(0, 2**63)]
 
 @dataclass(frozen=True)
 class Task:
-    """Tuning task of one setting of comparison: what a swarm searches, and the simulated runs by which it judges.
+    """Tuning task of one setting: what a swarm searches, and the simulated runs by which it judges.
 
     Attributes:
         setting: "paper" (exact measurements) or "loop" (sensors with noise and delays).
@@ -104,8 +104,9 @@ class RunEntry:
 
 @data.table
 class SettingEntry:
-    """One setting of data/tuning.toml: sensors or not, names of its runs, and dicts controller -> parameter -> value:
-    `designed`, by hand; `rule`, parameters other than the poles, which the margin sets; `start`, first particle."""
+    """Tuning with exact measurements ("paper") or with sensors ("loop"), as in data/tuning.toml: `sensors` or not,
+    names of its runs, and dicts controller -> parameter -> value: `designed`, chosen by hand; `rule`, all parameters of
+    NDI but the poles, which the least margin sets; `start`, first particle of a swarm."""
 
     sensors: StrictBool
     runs: Annotated[tuple[str, ...], NOT_EMPTY]
@@ -121,8 +122,8 @@ _BOUNDS = Annotated[dict[str, tuple[Number, Number, _SCALE]], NOT_EMPTY, _DIMENS
 
 @data.table
 class TaskFile:
-    """Content of data/tuning.toml: size of a search, scales of the cost, least margin; the runs and settings of
-    comparison by name; and for each `controller` its searched parameters with bounds, a list of `Dimension`."""
+    """Content of data/tuning.toml: size of a search, scales of the cost, least margin; runs by name; settings, "paper"
+    (exact measurements) and "loop" (sensors); per `controller` the searched parameters."""
 
     budget: Annotated[Budget, AS_GIVEN]
     cost: Annotated[Cost, AS_GIVEN]
@@ -145,8 +146,8 @@ def _known(names: Iterable[str], known: Iterable[str], where: str) -> None:
 
 
 def load_task(path: Path | str | None = None, setting: str = PAPER) -> Task:
-    """Read the tuning task of a setting of comparison from a TOML file (default data/tuning.toml). InputError if the
-    file is wrong."""
+    """Read the tuning task of a setting, "paper" (exact measurements) or "loop" (sensors), from a TOML file (default
+    data/tuning.toml). InputError if the file is wrong or has no such setting."""
     file = data.location(path, paths.source("data/tuning.toml"))
     content = data.build(TaskFile, data.read(file), file.name)
     _known([setting], content.setting, f"{file.name}: setting")

@@ -1,4 +1,4 @@
-"""Tuning of a controller in a setting of comparison: by particle swarms, one per seed, or by the rule of poles."""
+"""Tuning of a controller for exact measurements or sensors: by particle swarms, one per seed, or the rule of poles."""
 
 from bisect import bisect_left
 from functools import partial
@@ -51,7 +51,7 @@ def tune(controller: str, task: Task | str = PAPER, quiet: bool = False) -> dict
 
 
 def margins(controller: str, task: Task, parameters: dict) -> list[dict]:
-    """Disk margin (-) at each speed of a task: a list of dicts with the keys speed_kmh and disk_margin."""
+    """Disk margin (-) of a controller at each speed of a task: list of dicts, keys speed_kmh and disk_margin."""
     return [
         {"speed_kmh": speed, "disk_margin": margin.peaks(controller, parameters, speed, task.sensed)["disk_margin"]}
         for speed in task.margin["speeds_kmh"]
@@ -62,9 +62,8 @@ def fastest_pole(
     controller: str, task: Task, parameters: dict, bounds: tuple[int, int] = (1, 200), vehicle: Vehicle | None = None
 ) -> float:
     """Find the largest whole triple pole (rad/s) with which NDI keeps the least disk margin of a task: the rule of
-    poles. `controller` is "ndi", "ndi_feedforward" or "ndi_integral", `parameters` are its other tuning parameters. The
-    margin falls with the pole, so the search bisects between the `bounds`. InputError if the lower one misses the
-    margin."""
+    poles. `controller` is "ndi", "ndi_feedforward" or "ndi_integral", `parameters` are its other tuning parameters. As
+    the margin falls with the pole, it bisects between `bounds`. InputError if the lower one misses the margin."""
     least, speeds = task.margin["least"], task.margin["speeds_kmh"]
 
     def misses(pole: int) -> bool:
@@ -78,9 +77,8 @@ def fastest_pole(
 
 
 def by_rule(controller: str, task: Task) -> dict:
-    """Tune NDI by the largest triple pole that keeps the margin (`fastest_pole`); other parameters are those of
-    `Task.rule`. Returns a dict: controller, setting, parameters, margins (disk margin at each speed), origin (version
-    of railrepro)."""
+    """Tune NDI by the largest triple pole that keeps the margin (`fastest_pole`); other parameters are in `Task.rule`.
+    Returns a dict: controller, setting, parameters, margins (disk margin at each speed), origin (version)."""
     given = task.rule[controller]
     parameters = triple_pole(fastest_pole(controller, task, given)) | given
     result = {"controller": controller, "setting": task.setting, "parameters": parameters}
@@ -89,9 +87,8 @@ def by_rule(controller: str, task: Task) -> dict:
 
 def main(names: list[str]) -> None:
     """Command `tune`: tune controllers (minutes each) and write their parameters to data/tuned, a CONTROLLER.json each,
-    and for swarms CONTROLLER_particles.csv, a row per evaluated parameter set with its cost. `names` are controllers
-    and settings, "paper" (exact measurements), "loop" (sensors); without one of a kind all of this kind are tuned.
-    InputError for other names."""
+    and for swarms CONTROLLER_particles.csv, a row per evaluated parameter set. `names` are controllers and settings,
+    "paper" (exact measurements), "loop" (sensors); without one of a kind all are tuned. InputError for others."""
     tasks = {setting: load_task(setting=setting) for setting in SETTINGS}
     known = {name for task in tasks.values() for name in (*task.dimensions, *task.searched)}
     wanted = [name for name in names if name not in SETTINGS]

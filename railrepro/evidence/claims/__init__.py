@@ -1,1 +1,1 @@
-"""Statements of the paper as predicates over runs, the runs that they need, and those that must fail."""
+"""Statements of the paper as functions of results, the runs that they need, and results that they must refuse."""

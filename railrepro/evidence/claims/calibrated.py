@@ -20,7 +20,7 @@ from railrepro.evidence.claims.statements import REPRODUCED, Evidence
 from railrepro.studies.executor import ordered_map
 
 PARTS = ("curve", "sine", "loss", "brake")
-"""Groups of runs (see `probe.PARTS`) that Figs. 6 to 9 show."""
+"""Groups of runs that Figs. 6 to 9 show: curve entry, sine at five speeds, loss of adhesion, braking."""
 SIZES, DRAWS, SEED = (0.01, 0.03), 10, 2026
 """Largest relative perturbations, number of draws of each, seed of the first one."""
 R_FACTORS = (0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0)
@@ -30,11 +30,10 @@ R_FACTORS = (0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0)
 @data.table
 class Choice:
     """Value of one parameter of the calibrated car, which was fitted to the paper's statements; one table of
-    data/paper_like.toml. `nominal` is the value of the uncalibrated car (exact measurements), `value` that of the
-    calibrated car, a number, text or list in `unit`. `range` is the range in the literature, two numbers in `unit`, and
-    `source` its source; "free" means that none was found or that the paper leaves the value open. The value was chosen
-    for the `statements` (ids); `why` says how it acts on them. ValueError if `nominal` or `value` is outside of
-    `range`."""
+    data/paper_like.toml. `nominal` is the value of the uncalibrated car, `value` that of the calibrated car, a number,
+    text or list in `unit`. `range` is the range in the literature, two numbers in `unit`, and `source` its source;
+    "free" means that none was found or that the paper leaves the value open. The value was chosen for the `statements`
+    (ids); `why` says how it acts on them. ValueError if `nominal` or `value` is outside of `range`."""
 
     nominal: Any
     value: Any
@@ -81,9 +80,9 @@ def cars() -> dict[str, ProbeSetup]:
 def judged(world: ProbeSetup, parts: Iterable[str] = PARTS) -> pd.DataFrame:
     """Judge the paper's statements on a car with its controllers (`world`): one row per statement. Where controllers
     differ by less than the scatter between tuning seeds, they are tied and the statement does not hold. `parts` are
-    names of groups of runs (`PARTS`); statements that need other runs have no row. Columns: statement (id); value;
-    above and below, its lower and upper limit (NaN for none); margin, distance to the nearer limit over this limit (not
-    divided for a limit of 0), negative outside; holds, whether the statement is reproduced."""
+    names of groups of runs of `probe`, as "sine"; statements that need other runs have no row. Columns: statement (id);
+    value; above and below, its lower and upper limit (NaN for none); margin, distance to the nearer limit over this
+    limit (not divided for a limit of 0), negative outside; holds, whether the statement is reproduced."""
     found, rows = statements.findings(Evidence(probe(world, parts), Nominal().evidence(PAPER).spread)), []
     for identity, rule in statements.load().items():
         if identity not in found:
@@ -126,13 +125,10 @@ def undone(name: str) -> pd.DataFrame:
 
 def main() -> None:
     """Command `calibrated`: judge the paper's statements on the car that was fitted to them (data/paper_like.toml).
-
     Writes four tables to data/results: paper_like.csv, a row per statement (columns of `judged`);
     paper_like_undone.csv, the same with one fitted parameter (column choice) at a time back at its nominal value;
     paper_like_conflicts.csv, the same over factors (r_factor) on the weight R of NMPC; paper_like_perturbed.csv, a row
-    per random change of all fitted parameters: size (relative), draw (seed), holds (number of statements that hold),
-    falls (ids of those that now fail).
-    """
+    per random change of them: size (relative), draw (seed), holds (number that hold), falls (ids that now fail)."""
     choices = load()
     moves = [(size, draw) for size in SIZES for draw in range(DRAWS)]
     cases = [_values(choices), *(perturbed(choices, size, draw) for size, draw in moves)]

@@ -1,4 +1,4 @@
-"""Evidence on the nominal car: the stored probes (nominal_metrics.csv) as `statements.Evidence`."""
+"""Evidence on the nominal car: the stored metrics of its runs (nominal_metrics.csv) as `statements.Evidence`."""
 
 from collections.abc import Callable
 from functools import cache
@@ -20,9 +20,9 @@ def result(name: str) -> pd.DataFrame | None:
 
 
 class Nominal:
-    """Stored metrics of the nominal car in the settings "paper" (perfect measurements), "loop" (sensors) and "swarm"
-    ("paper" with poles of nonlinear dynamic inversion by particle swarm). `results` is a function like `result`, which
-    reads a table of data/results."""
+    """Stored metrics of the nominal car. Settings say how its controllers were tuned and run: "paper" (exact
+    measurements), "loop" (sensors), "swarm" (as "paper", but poles of nonlinear dynamic inversion by particle swarm).
+    `results` is a function like `result`, which reads a table of data/results."""
 
     def __init__(self, results: Callable[[str], pd.DataFrame | None] = result):
         self.results = cache(results)
@@ -31,11 +31,12 @@ class Nominal:
         self._rows = {} if metrics is None else dict(list(metrics.groupby("setting")))
 
     def settings(self) -> list[str]:
-        """List those settings of `Nominal`, "paper", "swarm", "loop" in this order, that have stored metrics."""
+        """List the settings of `Nominal` that have stored metrics, in the order "paper", "swarm", "loop"."""
         return [column for column in COLUMNS if column in self._rows]
 
     def evidence(self, setting: str) -> Evidence:
-        """Return the metrics and tables that belong to a `setting`; for "" only the tables that have no setting."""
+        """Return the metrics and tables of runs with a `setting`: "paper" (exact measurements), "swarm" (the same, but
+        poles of NDI by particle swarm) or "loop" (sensors); for "" only the tables that do not depend on it."""
         if setting not in self._evidence:
             rows = self._rows.get(setting)
             known = ({}, {}) if rows is None else (tuned_metrics(rows), seeds_spread(rows))
@@ -43,23 +44,23 @@ class Nominal:
         return self._evidence[setting]
 
     def on_calibrated_car(self) -> dict[str, str]:
-        """Map the id of each statement to "yes" if it holds on the calibrated car, else "no"; {} without results."""
+        """Map ids to "yes" if they hold on the car fitted to the statements, else "no"; {} without paper_like.csv."""
         judged = self.results("paper_like")
         return {} if judged is None else {row.statement: "yes" if row.holds else "no" for row in judged.itertuples()}
 
 
 def tuned_metrics(rows: pd.DataFrame) -> dict[Key, float]:
-    """Average metrics over the seeds of the sensor noise: (scenario, controller, metric) -> value (SI). `rows` are
-    those of one setting in nominal_metrics.csv; those with swarm other than 0 (other tuning runs) are left out. The
-    metric `failed` is not averaged: it is 1 if any run failed."""
+    """Average metrics over the seeds of the sensor noise: (scenario, controller, metric) -> value (SI). `rows` of
+    nominal_metrics.csv are of one setting, as "loop" (sensors); rows with swarm other than 0 (other tuning runs) are
+    left out. The metric `failed` is not averaged: it is 1 if any run failed."""
     values = rows[rows["swarm"] == 0].groupby(["scenario", "controller", "metric"], sort=False)["value"]
     return values.mean().to_dict() | {key: value for key, value in values.max().items() if key[2] == "failed"}
 
 
 def seeds_spread(rows: pd.DataFrame) -> dict[Key, float]:
     """Compute how metrics scatter over tuning and noise seeds: (scenario, controller, metric) -> ln(largest / smallest
-    |value|). `rows` are those of one setting in nominal_metrics.csv. Only rmse_y and stopping_distance have a scatter;
-    it is inf for rmse_y if a run failed, and 0 if a value is 0 or not finite."""
+    |value|). `rows` of nominal_metrics.csv are of one setting, as "loop" (sensors). Only rmse_y and stopping_distance
+    have a scatter; it is inf for rmse_y if a run failed, and 0 if a value is 0 or not finite."""
     sized = rows[rows["metric"].isin(["rmse_y", "stopping_distance"])]
     extremes = sized["value"].abs().groupby([sized[name] for name in ("scenario", "controller", "metric")])
     spread: dict[Key, float] = {}

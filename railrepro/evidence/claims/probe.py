@@ -1,6 +1,6 @@
-"""Simulate what the paper's statements are about: a few runs of one car, and the metrics that the predicates read. The
-nominal results in each column of verdicts and the samples of the robustness study are probes, so that the same
-predicates (`statements`) judge them. Serves the paper's section Multi-Body Simulation Results."""
+"""Simulate what the paper's statements are about: a few runs of one car, and the metrics by which they are judged. Such
+a set of runs is a probe, of the nominal car as of each sampled car, so that the same functions (`statements`) judge
+all. Serves the paper's section Multi-Body Simulation Results."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import astuple
@@ -49,15 +49,14 @@ SHARES = (0.0, 0.02, 0.03, 0.045, 0.07, 0.1, 0.15, 0.22, 0.33)
 """Fixed shares of the torque for guidance (-), tried from below: too large a share lengthens the run and its error."""
 # Sudden loss of adhesion
 PATCH, CHECKED = (300.0, 500.0), 100.0
-"""Begin and end of the very poor rail, and the distance before it on which operation must be regular (m): the adhesion
-law has climbed to its set point by 160 m."""
+"""Begin and end of the very poor rail, and the distance before it on which operation must be regular (m)."""
 NO_SLIP_CONTROL = AdhesionSettings(active=False)
 
 _FOLLOWING = ("rmse_y", "largest_error", "mean_error_last_third", "effort_du")
 _METRES = (*_FOLLOWING[:3], "delay", "shortest_wave", "shortfall", "ndi_later", "stopping_distance", "rail_rmse_y")
 UNITS = dict.fromkeys(_METRES, "m") | {"effort_du": "N m"}
 Measured = Iterator[tuple[str, str, dict[str, float]]]
-"""What a part of a probe yields: scenario, controller, value by metric."""
+"""What a group of runs yields, run by run: scenario, controller, and a dict metric -> value (SI)."""
 
 # The functions following, entering, losing, slipping, riding and braked are measures for `Experiment.measured`: they
 # return a pair, metrics by name and a DataFrame or None. A failed run has few metrics; its `failed` is 1.
@@ -100,8 +99,7 @@ def following(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 def entering(run: simulate.Run, experiment: Experiment) -> store.Entry:
     """Measure a run of Fig. 6 (curve entry). Returns a dict with the metrics of `following`, delay of y behind y* and
-    `shortfall` (m), `torque_step` (N m) and `path_error` (-), and a DataFrame: every tenth row of the run (None if it
-    failed)."""
+    `shortfall` (m), `torque_step` (N m) and `path_error` (-), and a DataFrame: every 10th row (None if failed)."""
     values, _ = following(run, experiment)
     if run.failed:
         return values, None
@@ -145,9 +143,8 @@ def slipping(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def riding(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Measure a run on irregular rails. Returns (dict, None). Keys: rail_rmse_y, RMS error from these rails (m);
-    sum_y_over_limit, track shifting force over its limit (-); n_mv_floor_front, comfort index above the front running
-    gear (-); failed."""
+    """Measure a run on irregular rails. Returns (dict, None): rail_rmse_y, RMS error from them (m); sum_y_over_limit,
+    track shifting force over its limit (-); n_mv_floor_front, comfort index of the front floor (-); failed."""
     return _unless_failed(run, experiment, ("rail_rmse_y", "sum_y_over_limit", "n_mv_floor_front")), None
 
 
@@ -351,8 +348,7 @@ _DRIVE: dict[str, Callable[[ProbeSetup], Measured]] = {
 
 def torque_step(series: pd.DataFrame) -> float:
     """Compute the mean differential torque over the first wave of the set point less the mean before it (N m). `series`
-    has the columns front.y_ref and front.du. The wave starts at the first set point other than 0. NaN without a whole
-    wave."""
+    has the columns front.y_ref and front.du. It begins at the first nonzero set point. NaN without a whole wave."""
     reference = series["front.y_ref"].to_numpy()
     begin = int(np.argmax(reference != 0))
     first_half = reference * reference[begin] > 0
@@ -401,9 +397,8 @@ def oscillation(series: pd.DataFrame) -> dict[str, float]:
 
 
 def deviation(series: pd.DataFrame, begin: float, end: float) -> float:
-    """Compute the mean relative deviation |f - f*| / |f*| (-) of the adhesion f from its set point f*. The mean is over
-    the rows of `series` (`metrics.gear_series`) from p = `begin` to p = `end` (m), inf without rows; f is the mean
-    adhesion of both wheels of a running gear."""
+    """Compute the mean relative deviation |f - f*| / |f*| (-) of the adhesion f from its set point f*, over the rows of
+    `series` (`metrics.gear_series`) from p = `begin` to `end` (m); inf without rows. f is the mean of front wheels."""
     rows = series[series["front.p"].between(begin, end, inclusive="left")]
     if rows.empty:
         return float("inf")
@@ -412,16 +407,13 @@ def deviation(series: pd.DataFrame, begin: float, end: float) -> float:
 
 
 def macro_slips(series: pd.DataFrame, peak: float, slip: float) -> dict[str, float]:
-    """Count macro slips and approaches to the adhesion peak in a run of Fig. 8 from p = 240 m on.
-
-    `series` is that of `metrics.gear_series`, `peak` and `slip` are adhesion and slip at the peak (-). A macro slip
-    begins where the slip of a wheel exceeds `slip`. An approach is the stretch from 240 m or a macro slip to the next
-    macro slip or the end. Returns a dict: macro_slips, number of macro slips that begin more than 0.135 s (a tenth of a
-    wave of the set point) before the end; recovered, number of them in which, within 0.135 s, the base torque falls by
-    a tenth and the slip falls below `slip` (all of them by the paper); approaches, their number; approached, number of
-    those in which the adhesion reaches 0.9 `peak` (all by the paper). A last one shorter than 110 m that does not reach
-    it is left out.
-    """
+    """Count macro slips and approaches to the adhesion peak in a run of Fig. 8 from p = 240 m on. `series` is that of
+    `metrics.gear_series`, `peak` and `slip` are adhesion and slip at the peak (-). A macro slip begins where the slip
+    of a wheel exceeds `slip`. An approach is the stretch from 240 m or a macro slip to the next macro slip or the end.
+    Returns a dict: macro_slips, number of macro slips that begin more than 0.135 s (a tenth of a wave of the set point)
+    before the end; recovered, number of them in which, within 0.135 s, the base torque falls by a tenth and the slip
+    falls below `slip` (all of them by the paper); approaches, their number; approached, number of those in which the
+    adhesion reaches 0.9 `peak` (all by the paper). A last one shorter than 110 m that does not reach it is left out."""
     rows = series[series["front.p"] >= REACHED]
     time, torque = rows["t_s"].to_numpy(), rows["front.u_d"].to_numpy()
     beyond = (rows[["front_ri.sx", "front_le.sx"]].abs() > slip).any(axis=1).to_numpy()
@@ -483,7 +475,8 @@ def nominal(settings: Iterable[str] = COLUMNS) -> pd.DataFrame:
 
 
 def main(settings: Sequence[str] = ()) -> None:
-    """Write data/results/nominal_metrics.csv, the table of `nominal` for `settings` (default all)."""
+    """Write data/results/nominal_metrics.csv, metrics of the nominal car, from which statements are judged. `settings`
+    (default all) are "paper" (exact measurements), "swarm" (NDI's poles by swarm), "loop" (sensors)."""
     unknown = set(settings) - set(COLUMNS)
     if unknown:
         raise InputError(f"setting {min(unknown)!r} is not known; there are {COLUMNS}")

@@ -1,4 +1,4 @@
-"""Setup of a probe: car, controllers and choices for the experiments, made from values by name."""
+"""Setup of a probe, the runs that judge the statements: car, controllers and choices of experiments, by name."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -73,32 +73,36 @@ class ProbeSetup(World):
 
 SWARM = "swarm"
 COLUMNS = (PAPER, SWARM, LOOP)
-"""Columns of verdicts: "paper" (exact measurements), "swarm" (the same, but NDI has the poles that a particle swarm
-found in place of those by the rule), "loop" (sensors)."""
+"""Columns of verdicts, by how controllers are tuned and run: "paper" (exact measurements), "swarm" (the same, but NDI
+has the poles that a particle swarm found, not the fastest within the stability margin), "loop" (sensors)."""
 LTV_R, POLE, PROFILE, SWEEP = "ltv_mpc_printed.r", "ndi.pole", "profile", "brake_sweep"
 _CHOICES = {one.name for one in fields(ProbeSetup)} - {one.name for one in fields(World)}
 """Fields of `ProbeSetup` that may be keys of the argument `values` of `setup`."""
 
 
 def setting_of(column: str) -> str:
-    """Return the setting by which to find the tuned sets of a column of verdicts: "paper" (exact measurements) also for
-    "swarm", in which only NDI has other poles, by swarm; "loop" (sensors) as it is."""
+    """Return under which name, "paper" (exact measurements) or "loop" (sensors), the tuned parameters of a `column` of
+    verdicts are stored: the column itself, but "paper" for "swarm", which differs from it only by the poles of NDI."""
     return PAPER if column == SWARM else column
 
 
 def setup(values: Mapping[str, Any], column: str = PAPER, *, rank: int = 0, seed: int | None = None) -> ProbeSetup:
-    """Make a `ProbeSetup` from values by name; all else is as on the uncalibrated car.
+    """Make a `ProbeSetup`, with which `probe` simulates the runs that judge the statements: the nominal car, that of
+    data/vehicle.toml not fitted to the statements, and its tuned controllers, with changed values by name.
 
     Args:
-        values (mapping): Keys: attributes of `ProbeSetup`, as "r_loss"; "profile" (wheels of the simulated car, unknown
-            to its controllers); "brake_sweep:FIELD", as "brake_sweep:period_end_m" (set point of Fig. 9);
-            "CONTROLLER:PARAMETER", as "nmpc:r"; "ndi.pole" (triple pole, rad/s); "ltv_mpc_printed.r" (LTV-MPC has the
-            weights of NMPC, but R times this value); parameters of the vehicle, as "wheel.radius".
-        column (str): Whose tuned controllers: "paper", "loop" (with sensors), "swarm" ("paper", poles of NDI by swarm).
+        values (mapping): Keys: attributes of `ProbeSetup`, as "r_loss" (factor on the weight R of NMPC in Fig. 8);
+            "profile" (wheels of the simulated car, unknown to its controllers); "brake_sweep:FIELD", as
+            "brake_sweep:period_end_m" (set point of Fig. 9); "CONTROLLER:PARAMETER", as "nmpc:r"; "ndi.pole" (triple
+            pole, rad/s); "ltv_mpc_printed.r" (LTV-MPC has the weights of NMPC, but R times this value); parameters of
+            the vehicle, as "wheel.radius".
+        column (str): How controllers are tuned and run: "paper" (exact measurements), "swarm" (the same, but poles of
+            NDI by particle swarm) or "loop" (sensors).
         rank (int): 0 for the final parameters, n for those of the tuning run of (n + 1)th lowest cost, if there is one.
         seed (int, optional): Seed of the sensors with "loop". Without it, and otherwise, controllers get true signals.
 
-    InputError for an unknown key or column, or a factor out of range. `ProbeSetup.checked` checks other values.
+    InputError for an unknown key or column, or unless each factor (clothoid_factor, r_loss, r_brake, r_second,
+    ltv_mpc_printed.r) is above 0 and at most 1e6. `ProbeSetup.checked` checks other values.
     """
     require("column", column, str)
     if column not in COLUMNS:

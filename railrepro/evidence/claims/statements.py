@@ -1,6 +1,6 @@
-"""Statements of the paper as predicates: a function and a rule for each, used by report, studies and tests. The
-function computes a number from `Evidence`. The rule in data/claims.toml has the limits between which the statement
-holds, and the reason for them. Serves the paper's section Multi-Body Simulation Results."""
+"""Statements of the paper, a function and a rule for each, used by report, studies and tests. The function computes a
+number from `Evidence`. The rule in data/claims.toml has the limits between which the statement holds, and the reason
+for them. Serves the paper's section Multi-Body Simulation Results."""
 
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
@@ -73,7 +73,7 @@ class Evidence:
     """Metrics of runs and tables of results from which the statements are judged. `metrics` maps (scenario, controller,
     metric) to values (SI); the metric `failed` of a failed run is 1. `spread` maps the same keys to the scatter between
     seeds, ln(largest / smallest). `tables` returns a table of data/results by its name, None if it is missing.
-    `setting` is "paper" (exact measurements), "loop" (sensors), or "" without one."""
+    `setting` is "paper" (exact measurements), "loop" (sensors), or "" (no tuned controller)."""
 
     metrics: Mapping[Key, float]
     spread: Mapping[Key, float] = field(default_factory=dict)
@@ -89,8 +89,8 @@ class Evidence:
         return float(self.metrics[scenario, controller, metric])
 
     def table(self, name: str) -> pd.DataFrame:
-        """Return the rows of a table of data/results that belong to `setting`, with "" all rows of a table without a
-        column `setting`; MissingEvidence if there are none."""
+        """Return the rows of a table of data/results that have this `setting`, "paper" (exact measurements) or "loop"
+        (sensors); with "" all rows of a table without a column `setting`. MissingEvidence if there are none."""
         table = self.tables(name) if self.tables else None
         if table is not None and ("setting" in table) == bool(self.setting):
             rows = table[table["setting"] == self.setting] if self.setting else table
@@ -115,17 +115,14 @@ class Evidence:
 
 @data.table
 class Statement:
-    """Statement of the paper with the rule that judges it, one table of data/claims.toml.
-
-    Only the `kind` "statement" gets a verdict. Others are "calibrated" (a number of the paper that set a choice of
-    ours), "motivation" (no result of the paper) and "arithmetic" (true of any data). A value (in `unit`) between
-    `above` and `below` reproduces the statement, a value between `partly_above` and `partly_below` does so partly. None
-    is no limit. `reason` explains the limits. `statement` is what `section` of the paper claims, `paper` the number
-    printed there. `evidence` is a figure, as "fig06_curve_entry", or the path of a table; `notebook` makes it.
-    `control` names false results that the rule must refuse in a test, joined by "; ", such as "one controller thrice":
-    LTV-MPC and NDI have the results of NMPC. ValueError if the evidence does not exist, or for a statement without a
-    limit.
-    """
+    """Statement of the paper with the rule that judges it, one table of data/claims.toml. Only the `kind` "statement"
+    gets a verdict. Others are "calibrated" (a number of the paper that set a choice of ours), "motivation" (no result
+    of the paper) and "arithmetic" (true of any data). A value (in `unit`) between `above` and `below` reproduces the
+    statement, a value between `partly_above` and `partly_below` does so partly. None is no limit. `reason` explains the
+    limits. `statement` is what `section` of the paper claims, `paper` the number printed there. `evidence` is a figure,
+    as "fig06_curve_entry", or the path of a table; `notebook` makes it. `control` names false results that the rule
+    must refuse in a test, joined by "; ", such as "one controller thrice": LTV-MPC and NDI have the results of NMPC.
+    ValueError if the evidence does not exist, or for a statement without a limit."""
 
     section: str
     statement: str
@@ -152,10 +149,10 @@ class Statement:
                 raise ValueError(f"holds above {low} and below {high}, a lower limit below the upper one is needed")
 
     def judge(self, finding: Finding) -> str:
-        """Return the verdict on a finding: "reproduced", "tie", "partly" or "not reproduced", the first that applies.
-        Reproduced: `value` is between `above` and `below` by more than a factor exp(tie). Tie: it is within this factor
-        of a limit. Partly: `Finding.weaker` (without it `value`) is between `partly_above` and `partly_below` (without
-        both: `above` and `below`)."""
+        """Return the first verdict that applies. "reproduced": `finding.value` is between `above` and `below` by more
+        than a factor exp(tie). "tie": it is within this factor of a limit. "partly": `finding.weaker` (without it
+        `value`) is between `partly_above` and `partly_below` (without both: `above` and `below`). Else "not
+        reproduced"."""
         limits = self.above, self.below
         if _within(finding.value, *limits, finding.tie):
             return REPRODUCED
@@ -467,9 +464,9 @@ VALUES: dict[str, Callable[[Evidence], Finding | float]] = {
     "C51": _because_of_preview,
     "C52": _robust,
 }
-"""Statement id -> its predicate, a function of `Evidence` that returns a `Finding` or its value."""
+"""Statement id -> function of `Evidence` that returns its `Finding`, or only the value of it."""
 TABLES = dict.fromkeys(VALUES, "nominal_metrics") | {
     **{"C01": "table1", "C26": "adhesion_map", "C27": "adhesion_law"},
     **dict.fromkeys(("C14", "C15", "C44"), "solve_times"),
 }
-"""Statement id -> name of the only table of data/results that its predicate reads."""
+"""Statement id -> name of the only table of data/results from which it is judged."""

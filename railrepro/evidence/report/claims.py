@@ -1,5 +1,5 @@
-"""Verdicts on the paper's statements in each setting of comparison. data/claims.toml has the rules,
-`railrepro.evidence.claims.statements` a predicate for each, data/results/claims.csv the accepted verdicts,
+"""Verdicts on the paper's statements with controllers tuned and run in three ways ("settings"). data/claims.toml has
+the rules, `railrepro.evidence.claims.statements` a function for each, data/results/claims.csv the accepted verdicts,
 data/theses.toml the reasons why a statement fails."""
 
 import numpy as np
@@ -12,24 +12,24 @@ from railrepro.evidence.uncertainty.robustness import shares
 
 FILE = "data/results/claims.csv"
 HEADLINE = PAPER
-"""Setting of the headline verdicts."""
+"""Setting whose verdicts the report shows first: "paper", exact measurements."""
 FRAGILE, NO_VERDICT = "fragile", "no verdict"
 _CONTRACT = {FRAGILE: statements.PARTLY, statements.TIE: statements.NOT}
 """Verdicts of the column `judged` that the column `verdict` of claims.csv does not have -> the ones it has."""
 
 
 def evaluate(nominal: Nominal) -> pd.DataFrame:
-    """Judge all statements by stored metrics: one row per statement and setting of comparison.
+    """Judge all statements by the metrics `nominal` of runs of the nominal car: one row per statement and setting,
+    which is how controllers were tuned and run. A statement is fragile when it is reproduced, but the lower 95 % limit
+    of its share of sampled cars (unpublished parameters drawn at random) is at most 0.5. It is a tie when its value is
+    nearer to the limit of its rule than the scatter between tuning runs. Columns:
 
-    A statement is fragile when it is reproduced, but the lower 95 % limit of its share of sampled cars (unpublished
-    parameters drawn at random) is at most 0.5. It is a tie when its value is nearer to the limit of its rule than the
-    scatter between tuning runs. Columns:
-
-    - id, paper_ref, statement, kind, unit, evidence (figure or table): the statement, from data/claims.toml;
+    - id, paper_ref (section), statement (text), kind, unit, evidence (figure or table): from data/claims.toml;
     - setting: "paper" (exact measurements), "swarm" (the same, but poles of NDI by particle swarm) or "loop" (sensors);
       "" for a statement on no tuned controller, or without metrics;
     - paper_value, measured_value: in `unit`, NaN where there is none; data: path of the table that was judged;
-    - judged: verdict, one of `page.MARKS`; verdict: the same, but "partly" for fragile and "not reproduced" for a tie;
+    - judged: "reproduced", "fragile", "partly", "tie", "not reproduced" or "not testable"; verdict: the same, but
+      "partly" for fragile and "not reproduced" for a tie;
     - share, share_low, share_high: share of sampled cars on which it holds (-), with its 95 % limits;
     - calibrated: whether it holds on the car fitted to the statements: "yes", "no", or "" where that was not judged.
     """
@@ -57,7 +57,7 @@ def evaluate(nominal: Nominal) -> pd.DataFrame:
 def headline(rows: pd.DataFrame) -> str:
     """Pick the verdict on one statement that the report shows first. `rows` are its rows of the table of `evaluate`,
     one per setting. Returns the verdict (column judged) of the row with setting "paper" (exact measurements) or "";
-    "not testable" if there is none, "no verdict" if the column kind is not "statement"."""
+    "not testable" if there is none; "no verdict" if its kind is not "statement", as for a motivation of the paper."""
     if set(rows["kind"]) != {"statement"}:
         return NO_VERDICT
     counts = rows[rows["setting"].isin(("", HEADLINE))]["judged"]

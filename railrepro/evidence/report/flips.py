@@ -1,6 +1,6 @@
-"""Verdicts that flip with answers of the paper's authors to open questions: `python -m railrepro probe FILE.toml`.
-FILE.toml is a filled copy of data/answers.toml. Answers change the setup of the probe (`claims.probe`) with exact
-measurements (setting "paper")."""
+"""Verdicts that flip with answers to open questions: `python -m railrepro probe FILE.toml`. The questions to the
+paper's authors are about values that the paper does not print, as the poles of NDI. FILE.toml is a filled copy of
+data/answers.toml. Runs are repeated with the answers (`claims.probe`), with exact measurements."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle
@@ -18,10 +18,10 @@ from railrepro.evidence.claims.setup import ProbeSetup, setup
 
 @data.table
 class Question:
-    """Open question to the authors of the paper, one table of data/answers.toml. `asks` is its text, `sets` names the
-    parameters whose values are asked for (keys of `claims.setup.setup`), `parts` the groups of runs (`probe.PARTS`)
-    that depend on it. `answer` has a value (in `unit`) for each of `sets`, or fewer, used in turn; () is no answer yet.
-    ValueError when the number of values does not divide the number of names."""
+    """Open question to the authors of the paper about values that it does not print, one table of data/answers.toml.
+    `asks` is its text, `sets` names the parameters asked for, as "ndi:pole" (keys of `setup.setup`, or "column"),
+    `parts` the groups of runs (`probe.PARTS`) that depend on it. `answer` has a value (in `unit`) for each of `sets`,
+    or fewer, used in turn; () is no answer yet. ValueError when their number does not divide that of the names."""
 
     asks: str
     sets: Annotated[tuple[str, ...], data.NOT_EMPTY]
@@ -35,7 +35,9 @@ class Question:
 
 
 def load(path: Path | str | None = None) -> dict[str, Question]:
-    """Read the open questions of a TOML file (default data/answers.toml): name -> `Question`; else InputError."""
+    """Read open questions to the paper's authors about values that it does not print: name -> `Question`. `path` is a
+    copy of data/answers.toml in which answers are filled in, by default this file, which has the questions without
+    answers. InputError if it is wrong, or if car, controllers or scenarios refuse an answer."""
     file = data.location(path, paths.source("data/answers.toml"))
     questions = data.build(dict[str, Question], data.read(file), file.name)
     for name in [name for name, question in questions.items() if question.answer]:
@@ -53,9 +55,9 @@ def _setup(answered: Iterable[Question]) -> ProbeSetup:
 
 
 def flips(answered: Mapping[str, Question]) -> pd.DataFrame:
-    """Verdicts with exact measurements (setting "paper") before and after answers to open questions: one row per
+    """Judge the paper's statements before and after answers to open questions, with exact measurements: one row per
     statement with a verdict, changed or not. `answered` maps names to questions with an answer. Only the runs that
-    depend on an answer are simulated again. Columns id, statement (its text), before, after (verdicts)."""
+    depend on an answer are simulated again. Columns id, statement (its text), before, after (`Statement.judge`)."""
     probed = _setup(answered.values())  # refuses a value before anything runs
     needed = {part for question in answered.values() for part in question.parts}
     rows = probe.probe(probed, [part for part in probe.PARTS if part in needed])

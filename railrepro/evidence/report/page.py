@@ -34,8 +34,8 @@ _LINK = re.compile(r"\[([^]]+)\]\(([^)]+)\)")
 @data.table
 class Thesis:
     """Sentence of the report with the conditions under which it is true, one table of data/theses.toml. `says` is the
-    text, with Jinja expressions. It is shown only if all Jinja conditions of `true` hold. `role` is its place in the
-    report, `of` are the ids of the statements that it explains."""
+    text, with Jinja expressions. It is shown if all Jinja conditions of `true` hold. `role` is its use: "summary";
+    "why", why the statements with the ids `of` fail; "holds_if", when they would hold; "readme"."""
 
     says: str
     true: Annotated[tuple[str, ...], data.NOT_EMPTY]
@@ -67,10 +67,8 @@ def main() -> int:
 
 class Page:
     """Functions and values for the Jinja templates of the report: REPLICATION.md, figures/README.md, README.md.
-    `judged` are verdicts from `claims.evaluate`, `nominal` stored metrics. In all methods `setting` says how
-    controllers were tuned and run: "paper", with exact measurements; "swarm", the same, but poles of NDI by particle
-    swarm; "loop", with sensors; or "" for tables that do not depend on it. `identity` is the id of a statement, as
-    "C05"."""
+    `judged` are verdicts on the paper's statements from `claims.evaluate`, `nominal` metrics of runs of the nominal car
+    from data/results. In all methods `identity` is the id of a statement in data/claims.toml, as "C05"."""
 
     def __init__(self, judged: pd.DataFrame, nominal: Nominal):
         self.judged, self.nominal = judged, nominal
@@ -90,7 +88,7 @@ class Page:
         self._jinja.globals |= {"tuned": parameters, "load": sets.load, "scenario": load_scenario}
 
     def replication(self) -> str:
-        """Text of REPLICATION.md."""
+        """Return the text of REPLICATION.md in Markdown, the report with the verdict on each statement of the paper."""
         text = self.render("replication.md.j2", questions=flips.load().values())
         return "## ".join(_linked_once(section) for section in text.split("## "))
 
@@ -107,7 +105,7 @@ class Page:
         return self._jinja.get_template(template).render(more)
 
     def readme(self, text: str) -> str:
-        """Return the text of README.md with new results between the lines `BEGIN` and `END`."""
+        """Return `text`, the present README.md, with new results between the lines `BEGIN` and `END`."""
         head, rest = text.split(BEGIN)
         _, tail = rest.split(END)
         return head + BEGIN + self._jinja.get_template("readme.md.j2").render() + END + tail
@@ -122,11 +120,11 @@ class Page:
         return table
 
     def text(self, text: str) -> str:
-        """Return a text with its Jinja expressions, as in `Thesis.says`, replaced by their values."""
+        """Return a text, as a sentence of data/theses.toml, with its Jinja expressions replaced by their values."""
         return self._jinja.from_string(text).render()
 
     def true(self, condition: str) -> bool:
-        """Whether a Jinja condition, as in `Thesis.true`, holds; False when the results lack a needed value."""
+        """Whether a Jinja condition, such as one of data/theses.toml, holds; False when the results lack a value."""
         try:
             return bool(self._jinja.compile_expression(condition, undefined_to_none=False)())
         except statements.MissingEvidence:
@@ -145,25 +143,32 @@ class Page:
         return [([i for i in thesis.of if i in failing], self.text(thesis.says)) for thesis in true]
 
     def e(self, setting: str, scenario: str, controller: str, metric: str) -> float:
-        """Metric (SI) of a controller in a scenario; of a failed run inf if less is better, else NaN."""
+        """Metric (SI) of a controller in a scenario, mean over sensor seeds in data/results/nominal_metrics.csv; of a
+        failed run inf if less is better, else NaN. `setting` says how controllers were tuned and run: "paper" (exact
+        measurements), "swarm" (the same, but poles of NDI by particle swarm) or "loop" (sensors)."""
         return self.nominal.evidence(setting)(scenario, controller, metric)
 
     def q(self, setting: str, scenario: str, controller: str, metric: str, unit: str = "") -> str:
-        """Metric from `e` as Markdown link "[value unit](its table)" in three digits; `unit` is "" (SI), "mm", "%"."""
+        """Metric of a controller in a scenario as Markdown link "[value unit](data/results/nominal_metrics.csv)", three
+        digits; `unit` is "" (SI), "mm" or "%". `setting` says how controllers were tuned and run: "paper" (exact
+        measurements), "swarm" (the same, but poles of NDI by particle swarm) or "loop" (sensors)."""
         return linked(self.e(setting, scenario, controller, metric), METRICS, unit)
 
     def sudden(self, metric: str, controller: str) -> list[float]:
-        """Metric (SI) of a controller with exact measurements ("paper") in four runs with sudden loss of adhesion
-        (`statements.SUDDEN`): both rails in traction, both in braking, left rail in traction, left rail in braking."""
+        """Metric (SI) of a controller with exact measurements in four runs with sudden loss of adhesion: on both rails
+        in traction, both in braking, left rail in traction, left rail in braking."""
         return [self.e(PAPER, case, controller, metric) for case in statements.SUDDEN]
 
     def find(self, identity: str, setting: str) -> statements.Finding:
-        """Measured value of a statement in a setting, as a `Finding`; MissingEvidence when metrics are missing."""
+        """Measured value of a statement, from data/results; MissingEvidence when metrics are missing. `setting` says
+        how controllers were tuned and run: "paper" (exact measurements), "swarm" (the same, but poles of NDI by
+        particle swarm), "loop" (sensors), or "" for a statement that depends on no tuned controller."""
         return statements.find(identity, self.nominal.evidence(setting))
 
     def holds(self, identity: str, setting: str) -> bool:
-        """Whether the statement with the id `identity` is reproduced. `setting` may also be "calibrated", for the car
-        that was fitted to the statements."""
+        """Whether a statement is reproduced. `setting` says how controllers were tuned and run: "paper" (exact
+        measurements), "swarm" (the same, but poles of NDI by particle swarm), "loop" (sensors), "" (no tuned
+        controller), or "calibrated" for the car that was fitted to the statements."""
         if setting == "calibrated":
             return self.calibrated_car.get(identity) == "yes"
         return self.rules[identity].judge(self.find(identity, setting)) == statements.REPRODUCED
@@ -176,8 +181,8 @@ class Page:
         return table
 
     def cell(self, name: str, column: str, **where):
-        """Value in `column` of the only row of data/results/NAME.csv whose columns have the values `where`.
-        MissingEvidence without such a file, or unless there is exactly one such row."""
+        """Value in `column` of the only row of data/results/NAME.csv that has the values `where`, as setting="paper",
+        in the columns of these names. MissingEvidence without such a file, or unless there is exactly one such row."""
         table = self.table(name)
         rows = table.loc[np.logical_and.reduce([table[key] == value for key, value in where.items()]), column]
         if len(rows) != 1:
@@ -185,17 +190,19 @@ class Page:
         return rows.iloc[0]
 
     def tuned_rmse(self, controller: str, setting: str) -> float:
-        """RMSE of y (m) on track T3 with the parameters of the tuning run of least cost, from settings_metrics.csv."""
+        """RMSE of y (m) on track T3 with the parameters of the tuning run of least cost, from settings_metrics.csv. In
+        the `setting` "paper" a controller was tuned and runs with exact measurements, in "loop" with sensors."""
         seed = min(sets.load(controller, setting)["swarms"], key=lambda swarm: swarm["cost"])["seed"]
         where = {"scenario": "curve_entry_T3", "setting": setting, "controller": controller, "swarm": seed}
         return self.cell("settings_metrics", "value", metric="rmse_y", **where)
 
     def time(self, solver: str, column: str = "median_ms") -> float:
-        """Solution time (ms) of a `solver`, exact signals: a `column` of solve_times.csv, its median over scenarios."""
+        """Median over scenarios of a `column` of solve_times.csv (ms), the time of a `solver` ("ltv_mpc", or one of
+        NMPC such as "gauss_newton") for one optimal control problem, in runs with exact measurements."""
         return float(statements.usual_times(self.nominal.evidence(PAPER), solver, column).median())
 
     def value(self, identity: str) -> str:
-        """Value of a statement, with exact measurements if settings differ, as link "[value unit](its table)"."""
+        """Value of a statement (with exact measurements, if it is on controllers) as link "[value unit](table)"."""
         headline = self.judged["setting"].isin(("", claims.HEADLINE))
         row = self.judged[(self.judged["id"] == identity) & headline].iloc[-1]
         return linked(number(row["measured_value"], row["unit"]), row["data"])

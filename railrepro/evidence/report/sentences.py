@@ -1,6 +1,5 @@
-"""Sentences of a notebook about its runs, each with the condition under which it is true. A cell shows its sentences as
-one paragraph. With the committed inputs a false sentence makes the run fail; with other values it is only marked as
-false."""
+"""Sentences of a notebook about its runs, each with the condition under which it is true; a cell shows them as one
+paragraph. With the committed inputs a false one makes the run fail; with other values it is marked as false."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,10 +22,9 @@ class Sentences(list):
 
 @contextmanager
 def sentences() -> Iterator[Sentences]:
-    """Collect sentences in a notebook cell (`with sentences() as says: says("…", holds)`) and display them at its end.
-    They become one paragraph, their count below it; those that do not hold are marked in words. A LookupError,
-    ValueError or ArithmeticError in the block, such as from a missing value, ends the block; a last sentence that does
-    not hold then names the error."""
+    """Collect sentences in a notebook cell (`with sentences() as says: says("…", holds)`) and display them at its end
+    as one paragraph with their count; those that do not hold are marked in words. A LookupError, ValueError or
+    ArithmeticError, as from a missing value, ends the block; a last, false sentence then names the error."""
     from IPython.display import display  # not needed outside of notebooks
 
     said = Sentences()

@@ -1,4 +1,4 @@
-"""Runs of all tuned sets in the settings of comparison, and the table of their metrics."""
+"""Runs of all tuned controllers with exact measurements ("paper") and with sensors ("loop"), and their metrics."""
 
 from collections.abc import Mapping, Sequence
 from itertools import product
@@ -20,7 +20,7 @@ CASES: dict[str, tuple[str, str, float, dict]] = {
     "adhesion_loss": ("poor rail, 400 km/h", "adhesion_loss", 700, {}),
     "adhesion_loss_stressed": ("poor rail, stressed", "adhesion_loss", 700, {"plant": {"drive.lag": 7.5e-3}}),
 }
-"""Name of a case -> title, scenario, length of the run (m), further fields of `Experiment`."""
+"""Case (a scenario under one condition) -> title, scenario, length of the run (m), fields of `Experiment`."""
 _UNITS = {"rmse_y": "m", "followed_rmse_y": "m", "effort_du": "N m", "activity_du": "N m"}
 _UNITS |= {"largest_error": "m", "utilisation": "-", "failed_at_m": "m"}
 
@@ -30,14 +30,11 @@ def experiments(
     stress: Mapping[str, float],
 ) -> list[Experiment]:  # fmt: skip
     """List the runs that compare the tuned controllers with perfect measurements ("paper") and with sensors ("loop").
-
     `names` are controllers. `cases` are keys of `CASES`, such as "curve_entry_T3": a scenario up to a coordinate.
     Inversions with poles by the particle swarm (`BY_SWARM`) run in "paper" only. A controller was tuned several times,
-    by one swarm per seed. It runs with the parameters from `swarms` of these tunings, those of lowest cost (None: all).
-    In "loop" the best ones run with all `noise_seeds` of the sensors, the others only with the first. `scale` is a
-    factor on the length of the runs (-). `stress` has changes of data/sensors.toml in cases that end with "stressed",
-    as {"inverter.gain": 1.2}.
-    """
+    by one swarm per seed. It runs with the parameters of the `swarms` tunings of lowest cost (None: all). In "loop" the
+    best ones run with all `noise_seeds` of the sensors, others with the first. `scale` is a factor on the length of
+    runs (-). `stress` has changes of data/sensors.toml in cases that end with "stressed", as {"inverter.gain": 1.2}."""
     runs = []
     pairs = [pair for pair in product(SETTINGS, names) if pair[0] != LOOP or pair[1] not in BY_SWARM]
     for setting, name in pairs:
@@ -58,9 +55,9 @@ def experiments(
 
 
 def metrics(table: pd.DataFrame) -> pd.DataFrame:
-    """Convert the table of `run_all` of `experiments` to that of settings_metrics.csv, one row per run and metric.
-    Columns: scenario (the case), controller, metric, value (in `unit`), unit, setting, swarm (seed of the tuning run),
-    seed (of the sensors)."""
+    """Make the table of settings_metrics.csv, one row per run and metric, from the `table` that `run_all` returns for
+    `experiments`, one row per run. Columns: scenario (the key of `CASES`), controller, metric, value (in `unit`), unit,
+    setting ("paper": exact measurements, "loop": sensors), swarm (seed of tuning), seed (of sensors)."""
     keys = ["scenario", "controller", "setting", "swarm", "seed"]
     wide = table.drop(columns="scenario").rename(columns={"case": "scenario"}).reindex(columns=[*keys, *_UNITS])
     tidy = wide.melt(keys, var_name="metric").dropna()

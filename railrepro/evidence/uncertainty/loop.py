@@ -80,7 +80,7 @@ def row(kind: str, case: str, scenario: str, change: dict, **more) -> list[Exper
 def limit_of(run: Experiment) -> dict:
     """Compute lower bounds (mm) of the RMS error y - y* that the sensors allow in a run (`limit.limit`). Returns a
     dict: limit_mm, with y* at the true track coordinate, and limit_at_believed_place_mm, with y* at the measured one;
-    {} unless the run is of the kind "loop" on ideal dry rails."""
+    {} unless the rails are ideal and dry and the label "kind" of the run is "loop" (same conditions as in tuning)."""
     scenario, loop = run.scenario, load_loop()
     if run.label["kind"] != "loop" or run.irregular or scenario.poor_share:
         return {}
@@ -90,9 +90,9 @@ def limit_of(run: Experiment) -> dict:
 
 
 def followed(run: simulate.Run, _experiment: Experiment) -> store.Entry:
-    """Measure a run: a dict with error_mm and rear_mm, RMS errors of front and rear running gear from the actual rails
-    (mm), activity_Nm, RMS of the front torque above 5 Hz (N m), and failed, also if a flange was reached; the others
-    are NaN then."""
+    """Measure a run: a dict with error_mm and rear_mm, RMS of displacement from the actual rails less set point of
+    front and rear running gear (mm), activity_Nm, RMS of the front differential torque above 5 Hz (N m), and failed,
+    also if a flange was reached; the others are NaN then."""
     if run.failed or metrics.reaches_flange(run.series):
         return dict.fromkeys(("error_mm", "rear_mm", "activity_Nm"), float("nan")) | {"failed": True}, None
     front, rear = (1e3 * metrics.followed_rmse(run.series, gear) for gear in simulate.GEARS)
@@ -100,10 +100,12 @@ def followed(run: simulate.Run, _experiment: Experiment) -> store.Entry:
 
 
 def table(runs: Sequence[Experiment]) -> pd.DataFrame:
-    """Run experiments in parallel and summarise them over the seeds: one row per kind, case and controller. Columns
-    kind, case, controller; seeds, number of runs; failed, number of failed runs; over the seeds that did not fail,
-    error_mm and rear_mm, root mean squares of those of `followed` (mm), activity_Nm, the mean of its torque above 5 Hz
-    (N m), and spread_mm, the standard deviation of error_mm (mm); keys of `limit_of`."""
+    """Simulate `runs` in parallel and summarise them over the seeds of the sensors: one row per kind, case and
+    controller. Columns: kind of conditions ("loop", as in tuning, "stressed", "held out", "irregular"); case, what is
+    driven, as "curve_entry_T3"; controller; seeds, number of runs; failed, number of failed runs. Over the seeds that
+    did not fail: error_mm and rear_mm, root mean squares of the errors of front and rear running gear (mm); spread_mm,
+    standard deviation of error_mm over the seeds; activity_Nm, mean RMS of the front differential torque above 5 Hz (N
+    m). limit_mm and limit_at_believed_place_mm, lower bounds of the error (mm) from `limit_of`, or NaN."""
 
     def driven(run: Experiment) -> dict:
         return run.label | {"controller": run.controller} | run.measured(followed)[0]
@@ -127,6 +129,6 @@ def table(runs: Sequence[Experiment]) -> pd.DataFrame:
 
 def main() -> None:
     """Command `loop`: compare controllers with sensors over seeds that tuning has not seen, and with the lower bound of
-    the error; writes data/results/loop_table.csv, a row per kind, case and controller (`table`)."""
+    the error; writes data/results/loop_table.csv, a row per condition, driven case and controller (`table`)."""
     text = table(experiments()).to_csv(index=False, float_format="%.4g")
     write(paths.product("data/results/loop_table.csv"), text)

@@ -1,4 +1,4 @@
-"""Stability margins of all tuned sets: the longest tolerated delay, and the disk margin at four speeds."""
+"""Stability margins of all tuned controllers: the longest tolerated delay, and the disk margin at four speeds."""
 
 from bisect import bisect_left
 from itertools import product
@@ -35,8 +35,8 @@ def delay_margin(setting: str, controller: str) -> float:
 
 
 def main() -> None:
-    """Command `margins`: write two tables of the tuned controllers to data/results: margins.csv, the `delay_margin` per
-    setting and controller, and sensitivity.csv, max |S| of the closed loop and disk margin, also per speed."""
+    """Command `margins`: write to data/results, per tuned controller and setting ("paper": exact measurements, "loop":
+    sensors), margins.csv, the `delay_margin`, and sensitivity.csv, max |S| and disk margin, also per speed."""
     pairs = [*product([PAPER], (*SHOWN, *BY_SWARM)), *product([LOOP], SHOWN)]
     loops = [(*pair, speed) for pair in pairs for speed in (100.0, 200.0, 300.0, 400.0)]
 

@@ -58,15 +58,15 @@ def prior() -> tuple[Dimension, ...]:
 class Sample:
     """One sampled combination of the parameters that the paper does not publish. `number` is its index in the Sobol
     sequence of `draw`. `setting` says how its controllers are tuned and run: "paper", with exact measurements; "swarm",
-    the same, but poles of NDI by particle swarm; "loop", with sensors. `values` are pairs of parameter name (see
-    `prior`) and value; parameters that are not named stay nominal."""
+    the same, but poles of NDI by particle swarm; "loop", with sensors. `values` are pairs (name, value) of parameters
+    from `prior`, as ("wheel.radius", 0.45); parameters that are not named stay nominal."""
 
     number: int
     setting: str
     values: tuple[tuple[str, float], ...]
 
     def world(self, seed: int | None = None) -> ProbeSetup:
-        """Make the car of the sample and its controllers, not yet retuned to it; `seed` is that of the sensor noise."""
+        """Make a `ProbeSetup`: the sampled car, controllers not yet retuned to it; `seed` is of sensor noise."""
         v = dict(self.values)
         if _PROFILE in v:
             v["profile"] = ("cone", "s1002")[int(v.pop(_PROFILE))]
@@ -88,8 +88,8 @@ def draw(count: int, settings: Sequence[str] = COLUMNS) -> list[Sample]:
 def evaluate(sample: Sample) -> dict:
     """Adjust the tuning of the paper's three controllers to a sampled car, then simulate the runs that judge the
     statements, with another seed of the sensor noise than for the tuning. Returns a dict. Keys: number and setting of
-    the sample; profile ("cone", "s1002"); ltv (variant of LTV-MPC); each name in `Sample.values`, with its value;
-    "scenario/controller/metric", with metrics (SI) of `probe.probe`."""
+    the sample; profile of the wheels ("cone", "s1002"); ltv, which stands for LTV-MPC ("ltv_mpc_printed"; "ltv_mpc",
+    with affine term); each name in `Sample.values`; "scenario/controller/metric", metrics (SI) of `probe.probe`."""
     world = sample.world(JUDGING)
     world = replace(world, parameters={name: _retuned(sample, name) for name in PAPER_TRIO})
     metrics = probe(world, (*PARTS, *ONCE) if sample.number < LONG[sample.setting] else PARTS)
@@ -125,9 +125,9 @@ def _retuned(sample: Sample, name: str) -> dict:
 
 
 def holds(table: pd.DataFrame) -> pd.DataFrame:
-    """Judge the paper's statements on each sample: one row per sample. `table` has the rows of `evaluate`. Columns
-    number, setting, profile, ltv, and one per statement (its id, as "C04"): True if the sample reproduces it, False if
-    not, NaN if metrics for it are missing."""
+    """Judge the paper's statements on each sampled car: one row per sample. `table` has the rows of `evaluate`. Columns
+    number, setting, profile, ltv (labels of the sample, from `table`), and one per statement (its id, as "C04"): True
+    if the sample reproduces it, False if not, NaN if metrics for it are missing."""
     known = {i: statement for i, statement in statements.load().items() if statement.kind == "statement"}
     nominal, rows = Nominal(), []
     for row in table.to_dict("records"):
@@ -140,8 +140,9 @@ def holds(table: pd.DataFrame) -> pd.DataFrame:
 
 def shares(table: pd.DataFrame | None) -> pd.DataFrame:
     """Compute the share of samples in which each statement holds (0 to 1): one row per statement and setting. `table`
-    has the rows of `evaluate`; None gives no rows. Columns id; setting; share; low and high, its 95 % interval
-    (Clopper-Pearson); samples, number judged; cone and s1002, share among samples with this profile."""
+    has the rows of `evaluate`; None gives no rows. Columns id (of the statement); setting ("paper": exact measurements,
+    "swarm": NDI's poles by swarm, "loop": sensors); share; low and high, its 95 % interval (Clopper-Pearson); samples,
+    number judged; cone and s1002, share among samples with this wheel profile."""
     columns = ["id", "setting", "share", "low", "high", "samples", "cone", "s1002"]
     if table is None:
         return pd.DataFrame(columns=columns)
@@ -156,9 +157,9 @@ def shares(table: pd.DataFrame | None) -> pd.DataFrame:
 
 
 def decided(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the table of `shares` with a column decided_by, the parameters (of `prior`) that decide on a statement. It
-    has up to three names, joined by commas: those whose rank correlation with "holds" over the samples is significant
-    (p < 0.001, Bonferroni). `table` has rows of `evaluate` in one setting."""
+    """Return the table of `shares` with a column decided_by, the sampled parameters (of `prior`) that decide on a
+    statement. It has up to three names, joined by commas, whose rank correlation with "holds" over the samples is
+    significant (p < 0.001, Bonferroni). `table` has rows of `evaluate` in one setting, as "loop" (sensors)."""
     result, judged = shares(table), holds(table)
     factors, names = table[[dimension.name for dimension in prior()]], []
     for identity in result["id"]:
