@@ -102,8 +102,8 @@ class Fmu:
     parameters: Sequence[Variable]
     text: str
     """C source with call.h, generated functions and `numbers_text`. It defines the type fmu_t, macros FMU_INPUTS,
-    FMU_OUTPUTS and FMU_PARAMETERS that name its arrays, and FMU_COUNT(u), the value of `counter`, 0 for none; of an
-    fmu_t *u, reset(u) to the start values, begin(u) with the present parameters, and advance(u, steps of 1 ms)."""
+    FMU_OUTPUTS and FMU_PARAMETERS that name its arrays, and FMU_COUNT(u), the value of `counter`, 0 for none; for a
+    pointer u to an fmu_t reset(u) to the start values, begin(u) with the present parameters, advance(u, steps of 1 ms)."""
     counter: tuple[str, ...] = ()
 
     def write(self, path: Path | str, platforms: Sequence[str] | None = None) -> Path:
