@@ -1,10 +1,8 @@
-"""Equations of motion of the multibody car, which stands in for SIMPACK: 22 degrees of freedom.
-
-Bodies are the car body and two wheel carriers (6 degrees of freedom each) and four wheels (spin). Velocities are
-absolute in track-frame components, angular velocities absolute in body axes. With these quasi-velocities centrifugal,
-Coriolis, cant, inclination and gyroscopic terms are exact without a second derivative of the track. x forward, y right,
-z down; yaw to the right, pitch nose up, roll right side down. Serves the paper's section Simulation Environment.
-"""
+"""Equations of motion of the multibody car, which stands in for SIMPACK: 22 degrees of freedom. Bodies are the car body
+and two wheel carriers (6 degrees of freedom each) and four wheels (spin). Velocities are absolute in track-frame
+components, angular velocities absolute in body axes. With these quasi-velocities centrifugal, Coriolis, cant,
+inclination and gyroscopic terms are exact without a second derivative of the track. x forward, y right, z down; yaw to
+the right, pitch nose up, roll right side down. Serves the paper's section Simulation Environment."""
 
 from dataclasses import dataclass
 from functools import lru_cache

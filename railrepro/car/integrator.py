@@ -1,24 +1,23 @@
-"""One step of the integrator Rodas3 as a CasADi expression, with its Jacobian and a sparse LU factorisation.
-
-The time constant of the spin of a wheel against creep falls with speed, to 0.2 ms at 40 km/h and to zero at standstill,
-so explicit steps of 1 ms fail. Rodas3 is linearly implicit, L-stable and of order 3. Source: Sandu et al., Atmospheric
-Environment 31 (1997) 3459 (Rodas3); scaled as in Hairer and Wanner, Solving ODEs II.
-"""
+"""One step of the integrator Rodas3 as a CasADi expression, with its Jacobian and a sparse LU factorisation. The time
+constant of the spin of a wheel against creep falls with speed, to 0.2 ms at 40 km/h and to zero at standstill, so
+explicit steps of 1 ms fail. Rodas3 is linearly implicit, L-stable and of order 3. Source: Sandu et al., Atmospheric
+Environment 31 (1997) 3459 (Rodas3); scaled as in Hairer and Wanner, Solving ODEs II."""
 
 import casadi as ca
 import numpy as np
 
 
 class Stages:
-    """Store of intermediate results of a large expression, with symbols in their place, so that its Jacobian follows
-    the chain rule: a force law is differentiated by its few arguments, which costs less than by all states."""
+    """Store of intermediate expressions, such as forces, while the equations of the car are written. Symbols stand in
+    their place, so that the Jacobian follows the chain rule: a force law is differentiated by its few arguments, which
+    costs less than by all states. Nothing is evaluated numerically."""
 
     def __init__(self) -> None:
         self._held: list[tuple[ca.SX, ca.SX]] = []
 
     def hold(self, *expressions: ca.SX) -> list[ca.SX]:
-        """Return new symbols that stand for these expressions, with the same shapes. The expressions may contain the
-        state and symbols from earlier calls."""
+        """Store expressions, and return new symbols of the same shapes, with which later expressions are written until
+        `resolve` or `jacobian` puts the stored ones back. They may contain the state and symbols from earlier calls."""
         definition = ca.vertcat(*map(ca.vec, expressions))
         symbols = ca.SX.sym(f"stage{len(self._held)}", definition.numel())
         self._held.append((symbols, definition))

@@ -131,12 +131,10 @@ class Body(Coordinates):
         self.position = self.section.position + self.section.rotation @ ca.vertcat(0, self.y, self.z)
 
     def derivatives(self, force: ca.SX, moment: ca.SX, mass: ca.SX, inertia: ca.SX, spin: ca.SX | float = 0) -> ca.SX:
-        """Compute the time derivatives of `COORDINATES` by the equations of Newton and Euler (SI), shape (12, 1).
-
-        The force (3, 1) is in track-frame components, the moment (3, 1) about the centre of gravity in body axes.
-        `inertia` (3, 1) has the principal moments, `spin` is the angular momentum of rotors on the body about its y
-        axis (kg m2/s). Source: Wittenburg 2008, Dynamics of Multibody Systems (gyrostat).
-        """
+        """Compute the time derivatives of `COORDINATES` by the equations of Newton and Euler (SI), shape (12, 1). The
+        force (3, 1) is in track-frame components, the moment (3, 1) about the centre of gravity in body axes. `inertia`
+        (3, 1) has the principal moments, `spin` is the angular momentum of rotors on the body about its y axis (kg
+        m2/s). Source: Wittenburg 2008, Dynamics of Multibody Systems (gyrostat)."""
         momentum = inertia * self.w + ca.vertcat(0, spin, 0)
         rates = self.rates | named(("vx", "vy", "vz"), force / mass - ca.cross(self.frame_rate, self.v))
         rates |= named(("wx", "wy", "wz"), (moment - ca.cross(self.w, momentum)) / inertia)

@@ -1,10 +1,7 @@
-"""From C source text to a shared object, cached by content.
-
-The key of the cache is the source text, the compiler with its version and flags, and the architecture. Processes that
-need the same object wait for the one that compiles it. The source stays beside its object. An object is loaded only
-with its seal, a hash of its name and content that needs a secret key of the user. One that is damaged, or that another
-user or an archive brought, is compiled again.
-"""
+"""From C source text to a shared object, cached by content. The key of the cache is the source text, the compiler with
+its version and flags, and the architecture. Processes that need the same object wait for the one that compiles it. The
+source stays beside its object. An object is loaded only with its seal, a hash of its name and content that needs a
+secret key of the user. One that is damaged, or that another user or an archive brought, is compiled again."""
 
 import hashlib
 import hmac

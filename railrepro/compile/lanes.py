@@ -1,10 +1,8 @@
-"""C for vector registers: several sets of arguments side by side, or mirrored operations of one set.
-
-`lanes_text` evaluates a CasADi function for several sets of arguments at once. `pairs_text` writes a function whose
-inputs come in pairs, such as those of two running gears. Two operations are twins if they do the same with mirrored
-operands. Twins become one operation on two lanes, any other operation stays one on numbers. Functions consist of scalar
-operations (SX) in `_OPERATIONS`; a KeyError names the code of another one.
-"""
+"""C for vector registers: several sets of arguments side by side, or mirrored operations of one set. `lanes_text`
+evaluates a CasADi function for several sets of arguments at once. `pairs_text` writes a function whose inputs come in
+pairs, such as those of two running gears. Two operations are twins if they do the same with mirrored operands. Twins
+become one operation on two lanes, any other operation stays one on numbers. Functions consist of scalar operations (SX)
+in `_OPERATIONS`; a KeyError names the code of another one."""
 
 import re
 from collections import Counter, defaultdict
@@ -32,8 +30,8 @@ _OPERATIONS = {
 
 
 class Statements:
-    """C statements `lines` that grow by `operation`. Each defines a constant: a double or, if `wide`, a vector
-    `lanes_t` of several doubles (lanes.h)."""
+    """C statements `lines` that grow by `operation`. Each statement defines a constant: a vector `lanes_t` of several
+    doubles (lanes.h) if the argument `wide` of `operation` is true, else a double."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -63,12 +61,10 @@ def lanes_header(lanes: int = 4) -> str:
 
 
 def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:
-    """Write C that evaluates a function for several sets of arguments at once, one set per lane of a register.
-
-    The inputs `common` have one value for all sets; what depends on these alone is computed once. Returns a C function
+    """Write C that evaluates a function for several sets of arguments at once, one set per lane of a register. The
+    inputs `common` have one value for all sets; what depends on these alone is computed once. Returns a C function
     `static void NAME_lanes(...)` of a function called NAME. Its arguments are the inputs, then the outputs, as arrays
-    of their nonzeros in CasADi's order: of double for common inputs, else of lanes_t with one double per set.
-    """
+    of their nonzeros in CasADi's order: of double for common inputs, else of lanes_t with one double per set."""
     inputs, outputs = function.name_in(), function.name_out()
     kinds = ["double" if name in common else "lanes_t" for name in inputs]
     signature = [f"const {kind} *in_{name}" for kind, name in zip(kinds, inputs, strict=True)]
@@ -103,12 +99,10 @@ _LEAVES = (ca.OP_INPUT, ca.OP_CONST)
 
 
 def pairs_text(function: ca.Function, mirrored: Mapping[str, Sequence[int]]) -> str:
-    """Write C of a CasADi function in which an operation and its mirror image share one vector register.
-
-    The C function has the signature of the one that CasADi generates, and its results have the same bits. `mirrored`
-    maps the name of an input to a list of int: for each entry the index of its mirror image, such as the same quantity
-    at the other running gear, or its own index. Other inputs have no mirror images.
-    """
+    """Write C of a CasADi function in which an operation and its mirror image share one vector register. The C function
+    has the signature of the one that CasADi generates, and its results have the same bits. `mirrored` maps the name of
+    an input to a list of int: for each entry the index of its mirror image, such as the same quantity at the other
+    running gear, or its own index. Other inputs have no mirror images."""
     nodes, outputs = graph(function)
     twins = _twins(nodes, [mirrored.get(name) for name in function.name_in()])
     body, values = Statements(), dict[int, str]()

@@ -49,13 +49,11 @@ class Patch:
 
 def elastic_contact(position, height, slope, rail_depth, radius: float, load: float, modulus: float) -> Patch:
     """Contact of a wheel profile with a rail profile: elastic half spaces in the plane of the mean contact angle. A
-    coarse grid locates the contact. A fine grid then covers it with the same number of cells for every patch.
-
-    Arrays have the shape (n,): `position`, lateral distance from the track centre, uniformly spaced (m); `height`,
-    radius of the wheel profile minus the nominal `radius` (m), and its `slope` (-); `rail_depth` below the top of the
-    rail (m). `load` is the normal force (N), `modulus` the contact modulus E* (Pa). Source: Kalker 1990,
-    Three-Dimensional Elastic Bodies in Rolling Contact, ch. 4.
-    """
+    coarse grid locates the contact. A fine grid then covers it with the same number of cells for every patch. Arrays
+    have the shape (n,): `position`, lateral distance from the track centre, uniformly spaced (m); `height`, radius of
+    the wheel profile minus the nominal `radius` (m), and its `slope` (-); `rail_depth` below the top of the rail (m).
+    `load` is the normal force (N), `modulus` the contact modulus E* (Pa). Source: Kalker 1990, Three-Dimensional
+    Elastic Bodies in Rolling Contact, ch. 4."""
     overlap = height - rail_depth
     gap, first = overlap.max() - overlap, int(np.argmax(overlap))
     rolling, angle = radius + height[first], np.arctan(slope[first])

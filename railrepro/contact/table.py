@@ -1,12 +1,10 @@
-"""Wheel-rail contact as a table over the lateral shift of the wheel: cone on a line rail, or S1002 on 60E1 at 1:40.
-
-A rigid S1002 wheel touches a rigid rail at a point that jumps by 12 mm when the wheel is near the centre; under load
-the contact patch spans the jump. So the geometry is averaged over the pressure of elastic half spaces at nominal load.
-Off centre, the weight drives a running gear back and spin creep drives it away; the net force is a fifth of each, and
+"""Wheel-rail contact as a table over the lateral shift of the wheel: cone on a line rail, or S1002 on 60E1 at 1:40. A
+rigid S1002 wheel touches a rigid rail at a point that jumps by 12 mm when the wheel is near the centre; under load the
+contact patch spans the jump. So the geometry is averaged over the pressure of elastic half spaces at nominal load. Off
+centre, the weight drives a running gear back and spin creep drives it away; the net force is a fifth of each, and
 within 15 % of that of half spaces. The normal force acts at a fixed line of the rail. If it moved with the patch, the
 lateral error of a gear without flange contact would change by less than 1 %. Serves the paper's eqs. (10), (11) (cone)
-and section Simulation Environment.
-"""
+and section Simulation Environment."""
 
 from dataclasses import dataclass
 from functools import cache, lru_cache

@@ -45,36 +45,37 @@ class AdhesionMemory:
 
 @table
 class AdhesionSettings:
-    """Parameters of the adhesion law. Each ms the base torque (common to both wheels) rises by `raise_step` (N m) if
-    the adhesion is more than `corridor` below its set point, falls by `lower_step` (N m) if as much above, and by
-    `drop_step` (N m) past the adhesion maximum, which counts only at slip rates above `dead_zone`. This zone is wider
-    below `noise_speed`, for slip computed from noisy sensors; 0 for exact ones. Not `active`, the base torque follows
-    set point times static load times wheel radius, by `raise_step` per ms."""
+    """Parameters of the adhesion law, which changes the base torque (common to both wheels) of a running gear every ms.
+
+    Attributes:
+        raise_step, lower_step (float): Rise of the base torque while the adhesion is more than `corridor` below its set
+            point, and fall while it is as much above (N m per ms), p1 and p2 of the paper.
+        drop_step (float): Fall of the base torque while a wheel is past its adhesion maximum (N m per ms).
+        corridor (float): Half width of the corridor around the set point of the adhesion (-).
+        filter_time (float): Time constant of the low-pass filters of adhesion and slip (s); the law uses their rates.
+        dead_zone (float): Rate of the slip (1/s) below which no wheel counts as past its adhesion maximum.
+        noise_speed (float): Speed (m/s) below which the dead zone grows as 1/v, like the noise of a slip computed from
+            sensors. 0, for exact slip: the dead zone is constant.
+        active (bool): False: no slip control. The base torque (N m) follows set point x static wheel load x wheel
+            radius, by at most `raise_step` per ms.
+    """
 
     raise_step: _STEP = 2.0
-    """Increase of the base torque while the adhesion is below the corridor (N m per ms), p1 of the paper."""
     lower_step: _STEP = 5.0
-    """Decrease of the base torque while the adhesion is above the corridor (N m per ms), p2 of the paper."""
     drop_step: _STEP = 100.0
-    """Decrease of the base torque while a wheel is past its adhesion maximum (N m per ms)."""
     corridor: Annotated[float, between(0.0, 1.0)] = 0.003
-    """Half width of the corridor around the set point of adhesion (-)."""
     filter_time: Annotated[float, between(0.0, 10.0, "s")] = 5e-3
-    """Time constant of the low-pass filters of adhesion and slip before their rates are computed (s)."""
     dead_zone: Annotated[float, between(0.0, 1e9, "1/s")] = 2e-3
-    """Slip rate below which no wheel counts as past its adhesion maximum (1/s)."""
     noise_speed: Annotated[float, between(0.0, 1e3, "m/s")] = 0.0
-    """Speed below which the dead zone grows as 1/v, like the noise of a computed slip (m/s). 0: it is constant."""
     active: StrictBool = True
-    """False: no slip control. The base torque follows the demand by steps of at most `raise_step`."""
 
     def base_torque(self, q: AdhesionInputs, memory: AdhesionMemory) -> tuple:
         """Compute one cycle (1 ms) of the adhesion law of one running gear, with numbers or CasADi expressions. A wheel
         is past its adhesion maximum if the rates of its filtered adhesion and slip have opposite signs, f' s' < 0,
         where f and s count as positive in the direction of the demand. (With the sign of s that the paper prints, this
-        would hold before the maximum in traction.) Returns the base torque per wheel (N m), the next `AdhesionMemory`,
-        and the segment of the law: 1 adhesion below the corridor, 2 inside, 3 above it or a wheel past its maximum;
-        also computed if not `active`. Source: eqs. (21), (22), (23), (25)."""
+        would hold before the maximum in traction.) Returns a tuple: the base torque per wheel (N m), the next
+        `AdhesionMemory`, and the segment of the law: 1 adhesion below the corridor, 2 inside, 3 above it or a wheel
+        past its maximum; also computed if not `active`. Source: eqs. (21), (22), (23), (25)."""
         sign = ca.if_else(q.f_star < 0, -1, 1)
         pole = CONTROL_PERIOD / (self.filter_time + CONTROL_PERIOD)
         dead_zone = self.dead_zone * ca.fmax(1, self.noise_speed / ca.fmax(q.v, SLOWEST))

@@ -19,9 +19,9 @@ from railrepro.vehicle.parameters import Vehicle
 
 @dataclass(frozen=True)
 class GearInputs:
-    """Inputs of a 1 kHz law (`LateralLaw`) about its running gear: its six states (`x` to `psi`); `xddot`, the
-    acceleration along the track by the base torque, which is common to both wheels; `held`, the last differential
-    torque of a slower controller such as NMPC, 0 without one."""
+    """Inputs of a 1 kHz law (`LateralLaw`) about its running gear: its six states (`x` to `psi`); `xddot`, acceleration
+    along the track by the base torque, the torque that both wheels have in common; `held`, the last differential torque
+    of a slower controller such as NMPC, 0 without one."""
 
     x: Annotated[Scalar, "m", "coordinate along the track"]
     psi_Ax: Annotated[Scalar, "rad", "heading of the running gear"]
@@ -35,9 +35,11 @@ class GearInputs:
 
 @dataclass(frozen=True)
 class TrackInputs:
-    """Inputs of a 1 kHz law at the position of its gear: heading, superelevation and gradient of the track, heading
-    `psi_CB` of the car body, set point `y_ref` of the lateral displacement, and their derivatives along the track.
-    `psi_CB` is not measured: it is the mean heading of the track at both gears, its derivative the mean curvature."""
+    """Inputs of a 1 kHz law at the position of its gear: heading `psi_Tr`, superelevation `phi_Tr` and gradient
+    `eps_Tr` of the track, heading `psi_CB` of the car body, set point `y_ref` of the lateral displacement. The name
+    dX_dp is the derivative of X by the track coordinate p; dy_ref, ddy_ref and dddy_ref are the first three derivatives
+    of y_ref by p. `psi_CB` is not measured: it is the mean heading of the track at both gears, `dpsi_dp_CB` the mean
+    curvature there."""
 
     psi_Tr: Annotated[Scalar, "rad", "heading of the track"]
     dpsi_dp: Annotated[Scalar, "1/m", "curvature of the track"]
@@ -86,14 +88,12 @@ class Quantities(SimpleNamespace, GearInputs, TrackInputs, ModelInputs):
 
 
 class LateralLaw(Protocol):
-    """Lateral guidance law that is evaluated every millisecond: an object with a method `torque(q)`.
-
-    Four members are optional. `memory` is a tuple with the names of the states of the law, which each gear has for
-    itself and which start at 0. `gains()` returns a dict from name to value of numbers that can change without
-    compiling again. `ranges()` returns a dict from name of a gain to its `data.Quantity` (unit, lowest and highest
-    value); the law exported as C or FMU refuses a gain out of its range. `alike = True` in the body of a class states
-    that `torque` depends on q only, so one object stands for all.
-    """
+    """Lateral guidance law that is evaluated every millisecond: an object with a method `torque(q)`. Four members are
+    optional. `memory` is a tuple with the names of the states of the law, which each gear has for itself and which
+    start at 0. `gains()` returns a dict from name to value of numbers that can change without compiling again.
+    `ranges()` returns a dict from name of a gain to its `data.Quantity` (unit, lowest and highest value); the law
+    exported as C or FMU refuses a gain out of its range. `alike = True` in the body of a class states that `torque`
+    depends on q only; then `torque` of one object is called for all objects of the class."""
 
     def torque(self, q: Quantities) -> ca.SX | tuple[ca.SX, dict[str, ca.SX]]:
         """Differential torque (N m, positive steers to the right), a CasADi expression of the attributes of q. A law
@@ -180,12 +180,12 @@ def check_arguments(controller: str, vehicle: Vehicle, route: Route, gear: int) 
 
 @dataclass(frozen=True)
 class Signature:
-    """Equations of a 1 kHz law without the values of its gains: `gains` and `memory` have the names of gains and
-    states. Laws with equal signatures share compiled code."""
+    """Equations of a 1 kHz law without the values of its gains. `text` is a serialised CasADi function of vectors (SI):
+    (gear, track, memory, gains, model) -> (du, next memory). Their entries have the order of `GEAR`, `ROAD`, the fields
+    `memory` and `gains`, and `MODEL`. `gains` and `memory` are the names of gains and states. Laws with equal
+    signatures share compiled code."""
 
     text: str
-    """Serialised CasADi function of vectors (SI): (gear, track, memory, gains, model) -> (du, next memory). They have
-    the order of `GEAR`, `ROAD`, `memory`, `gains` and `MODEL`."""
     gains: tuple[str, ...]
     memory: tuple[str, ...]
 
@@ -206,9 +206,10 @@ def gains_of(law: LateralLaw) -> dict[str, float]:
 
 
 def signature(law: LateralLaw) -> Signature:
-    """`Signature` of a 1 kHz law, from one call of `law.torque(q)` with CasADi symbols. InputError if a gain is not a
-    finite number or its name is taken, the torque or a next state is no scalar expression, the states are not those of
-    `memory`, or the law uses a symbol that is not in `q`."""
+    """Make the `Signature` of a 1 kHz law: its equations as text, and the names of its gains and states. They come from
+    one call of `law.torque(q)` with CasADi symbols. InputError if a gain is not a finite number, a gain or state is
+    called as another quantity in `q`, the torque or a next state is no scalar expression, the states that the law
+    returns are not those of `memory`, or it uses a symbol that is not in `q`."""
     owner, memory, gains = _owner(law), tuple(getattr(law, "memory", ())), tuple(gains_of(law))
     equations = type(law), getattr(type(law), "torque", None), memory, gains
     if equations in _alike:

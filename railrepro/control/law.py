@@ -31,8 +31,9 @@ _SHARE = between(0.0, 1.0, "-")
 
 @dataclass(frozen=True)
 class LawGains:
-    """Numbers of the 1 kHz law that may change without compiling again (SI): gains `lateral` of the lateral law, which
-    `LawSignature.Gains` names, settings of the adhesion law, nominal vehicle, motor, and the limits that end a run."""
+    """Numbers of the 1 kHz law that may change without compiling again (SI): gains `lateral` of the lateral law, whose
+    names are in the subclass `LawSignature.Gains`; settings of the adhesion law; share and load below; nominal vehicle;
+    motor; limits that end a run."""
 
     lateral: Annotated[list[Scalar], ()]
     adhesion: AdhesionSettings
@@ -55,7 +56,8 @@ class SensedGains(LawGains):
 @dataclass(frozen=True)
 class GearMemory:
     """What the 1 kHz law of one running gear keeps from cycle to cycle: base torque `u` (common to both wheels),
-    filters of the adhesion law, states `lateral` of the lateral law, which `LawSignature.Memory` names."""
+    filters of the adhesion law, states `lateral` of the lateral law, whose names are in the class
+    `LawSignature.Memory`."""
 
     u: Annotated[Scalar, "N m", "base torque"]
     adhesion: AdhesionMemory
@@ -64,7 +66,8 @@ class GearMemory:
 
 @dataclass(frozen=True)
 class SensedGearMemory(GearMemory):
-    """`GearMemory` with sensors: also delayed readings and commands, filter, last estimates and last readings."""
+    """`GearMemory` of a run with sensors. It also has `sensor`, readings and torque commands under way; `filter`, state
+    of the filter that estimates the states; `estimated`, its last estimates; `read`, the last readings."""
 
     sensor: SensorMemory
     filter: observers.FilterState
@@ -83,22 +86,24 @@ class LawMemory:
 
 @dataclass(frozen=True)
 class LawSignature:
-    """What determines the compiled code of the 1 kHz law: equations of its lateral law, with or without sensors, but no
-    values of gains. Laws with equal signatures share compiled code."""
+    """What determines the compiled code of the 1 kHz law: equations of its lateral law, and whether it is `sensed`
+    (gets estimates from sensors and a filter, not the true states), but no values of gains. Laws with equal signatures
+    share compiled code."""
 
     lateral: lateral.Signature
     sensed: bool = False
-    """Whether the controllers get estimates from sensors and filter in place of the true states."""
 
     @cached_property
     def Gains(self) -> type[LawGains]:
-        """Dataclass of the gains: `LawGains` or, with sensors, `SensedGains`, with names for the lateral gains."""
+        """Class of the gains: `LawGains` or, with sensors, `SensedGains`, in which the gains of the lateral law have
+        names."""
         gains = SensedGains if self.sensed else LawGains
         return reannotated(gains, lateral=Annotated[list[Scalar], self.lateral.gains])
 
     @cached_property
     def Memory(self) -> type[LawMemory]:
-        """Dataclass of the states: `LawMemory`, with sensors of `SensedGearMemory`, with names for lateral states."""
+        """Class of the states: `LawMemory`, in which the states of the lateral law have names. Its fields `front` and
+        `rear` are a `GearMemory`, with sensors a `SensedGearMemory`."""
         memory = SensedGearMemory if self.sensed else GearMemory
         gear = reannotated(memory, lateral=Annotated[list[Scalar], self.lateral.memory])
         return reannotated(LawMemory, front=gear, rear=gear)
@@ -123,12 +128,11 @@ _shared = lru_cache(LawSignature)
 
 @dataclass(frozen=True)
 class ControlLaw:
-    """The 1 kHz law of both gears, as `control_law` makes it: its equations (`signature`) with the values of its gains,
-    shape (n,), in the order of `quantities.names(signature.Gains)`."""
+    """The 1 kHz law of both gears, as `control_law` makes it: its equations (`signature`) with the values of its
+    `gains` (SI), shape (n,), in the order of `quantities.names(signature.Gains)`."""
 
     signature: LawSignature
     gains: np.ndarray
-    """Run-time numbers in the order of `signature.Gains` (SI)."""
 
 
 def control_law(
@@ -148,8 +152,9 @@ def control_law(
     torque of a slower controller (`ZeroOrderHold`). `sensors` has noise, delays and filter; None: controllers get exact
     states without delay. `adhesion` is by default `AdhesionSettings()`, with the values of `sensors.loop.adhesion`.
     `fixed_share` (0 to 1) is the part of a motor's torque limit kept for the differential torque; the base torque gets
-    the rest. With 0 the former may use all of it and has priority. A run ends when |lateral displacement| of a gear
-    exceeds `lateral_limit` (m), or the front gear reaches `track_end` (m) or is as slow as `stop_speed` (m/s).
+    the rest. With 0 the differential torque may use the whole limit, and the base torque gets what is left. A run ends
+    when |lateral displacement| of a gear exceeds `lateral_limit` (m), or the front gear reaches `track_end` (m) or is
+    as slow as `stop_speed` (m/s).
     """
     require("fixed_share", fixed_share, _SHARE)
     if sensors is not None:

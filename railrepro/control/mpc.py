@@ -27,7 +27,8 @@ SOLVERS = {"gauss_newton": CONVERGED, "rti": REAL_TIME, "ipopt": CONVERGED}
 
 @dataclass
 class PredictiveController:
-    """Predictive controller of one gear (0 front, 1 rear), see `lateral.SlowController`. Base of `NMPC` and `LTVMPC`.
+    """Predictive controller of one gear (0 front, 1 rear), base of `NMPC` and `LTVMPC`. Each sample it optimises the
+    differential torque over a horizon ahead.
 
     When a problem cannot be solved, the controller follows the plan of the sample before, and `fallbacks` counts it.
 
@@ -104,9 +105,9 @@ class PredictiveController:
 
 @dataclass
 class NMPC(PredictiveController):
-    """Nonlinear MPC of one running gear, see `PredictiveController`. All solvers minimise the same cost. `solver` is
-    "gauss_newton" (default), Newton iterations until convergence; "rti", real-time iteration: one Newton iteration per
-    sample, prepared before the state is measured; or "ipopt", the slow reference."""
+    """Nonlinear MPC of one running gear. All solvers minimise the same cost. `solver` is "gauss_newton" (default),
+    Newton iterations until convergence; "rti", real-time iteration: one Newton iteration per sample, prepared before
+    the state is measured; or "ipopt", the slow reference."""
 
     solver: str = "gauss_newton"
 

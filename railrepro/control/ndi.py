@@ -1,10 +1,8 @@
-"""Nonlinear dynamic inversion of the lateral running-gear dynamics, the comparison controller of the paper.
-
-The lateral position has relative degree three: y' = v psi_r, psi_r' = psi_Ax' - v kappa, and the yaw equation contains
-the differential torque du. The inverse of the corrected control model computes du from the desired third derivative of
-y. It knows the track at the present position and has no preview. Serves the paper's section Multi-Body Simulation
-Results (comparison after Grether 2018 and Heckmann 2020).
-"""
+"""Nonlinear dynamic inversion of the lateral running-gear dynamics, the comparison controller of the paper. The lateral
+position has relative degree three: y' = v psi_r, psi_r' = psi_Ax' - v kappa, and the yaw equation contains the
+differential torque du. The inverse of the corrected control model computes du from the desired third derivative of y.
+It knows the track at the present position and has no preview. Serves the paper's section Multi-Body Simulation Results
+(comparison after Grether 2018 and Heckmann 2020)."""
 
 from typing import Annotated
 
@@ -19,19 +17,21 @@ from railrepro.data import Quantity, above, between, table
 @table
 class NDI:
     """Lateral law by dynamic inversion: its torque gives the lateral error linear third-order dynamics with chosen
-    poles, a real one of magnitude `pole` and a pair with natural `frequency` and `damping` ratio. `integral` is a gain
-    of the integrated error, 0: none. With `rates`, the derivatives of the set point are fed forward."""
+    poles.
+
+    Attributes:
+        pole (float): Magnitude of the real pole of the error dynamics (rad/s).
+        frequency, damping (float): Natural frequency (rad/s) and damping ratio (-) of the pair of complex poles.
+        integral (float): Gain ki of the integrated error over k0 x `pole` (-), see `gains`. 0: no integral action.
+        rates (bool): Whether the first three derivatives of the set point are fed forward. As we read the paper, they
+            are not.
+    """
 
     pole: Annotated[float, above(0.0, 1e4, "rad/s")] = 30.0
-    """Magnitude of the real pole of the error dynamics (rad/s)."""
     frequency: Annotated[float, above(0.0, 1e4, "rad/s")] = 30.0
-    """Natural frequency of the complex pole pair of the error dynamics (rad/s)."""
     damping: Annotated[float, above(0.0, 1e4)] = 1.0
-    """Damping ratio of the complex pole pair (-)."""
     integral: Annotated[float, between(0.0, 1e4)] = 0.0
-    """Integral gain ki over (k0 pole) (-), see `gains`. 0: no integral action."""
     rates: StrictBool = False
-    """Whether the first three derivatives of the set point are fed forward. As we read the paper, they are not."""
 
     alike = True
     memory = ("integral",)
@@ -78,10 +78,10 @@ def wanted_jerk(q: lateral.Quantities) -> ca.SX:
 
 
 def inverse(jerk: ca.SX, q: lateral.Quantities) -> ca.SX:
-    """Differential torque (N m) at which y has the third time derivative `jerk` (m/s^3). `q` are symbols of gear, track
-    and vehicle, see `lateral.Quantities`. The yaw equation is the corrected one of `railrepro.model.derivation` to
-    first order. It neglects the yaw stiffness by gravity, which is 1 % of that of the springs, and the yaw moment of
-    the base torque on unequal rolling radii or a rolled axle."""
+    """Differential torque (N m) at which y has the third time derivative `jerk` (m/s^3), as an expression of the
+    symbols `q` of gear, track and vehicle. The yaw equation is the corrected one of `railrepro.model.derivation` to
+    first order. It neglects the yaw stiffness by gravity, which is 1 % of the stiffness of the springs, and the yaw
+    moment of the base torque on unequal rolling radii or a rolled axle."""
     ydot, psidot_r = q.v * q.psi, q.yaw_rate - q.v * q.dpsi_dp
     psiddot_r = (jerk - 2 * q.xddot * psidot_r) / ca.fmax(q.v, 1.0)
     psiddot = psiddot_r + q.ddpsi_dp * q.v**2 + q.dpsi_dp * q.xddot

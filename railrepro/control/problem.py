@@ -32,8 +32,8 @@ TUNING = (*WEIGHTS, "r", "q_terminal", "period", "lateral_bound", "bound_weight"
 
 
 class Tuning(NamedTuple):
-    """Weights and bounds of the optimal control problem, as numbers or CasADi expressions: fields of `MPCSettings` of
-    the same names; `q` (6,) is `q_diag` there."""
+    """Weights and bounds of the optimal control problem, as numbers or CasADi expressions, with names, meanings and
+    units of fields of `MPCSettings`; only `q`, shape (6,), is called `q_diag` there."""
 
     q: Any
     r: Any
@@ -117,44 +117,44 @@ def torque_limit() -> ca.Function:
 
 @table
 class MPCSettings:
-    """Settings of a predictive controller: weights, horizon, prediction model, soft bound of |y|. `q_diag` has the
-    weights of squared deviations of x, psi_Ax, xdot, psidot_Ax, y_TrAx, psi_TrAx, each in 1 over the square of its unit
-    (m, rad, s). At the end of the horizon only y_TrAx and psi_TrAx count, with `q_terminal` times these weights.
-    `discretisation` is "euler", "midpoint" or "rk4". `variant` is "corrected", "printed" (all errata of the paper) or
-    errata to keep, as "D1,D3". With `yielding`, |du| may use the whole motor torque, else what the base torque (common
-    to both wheels) leaves. With `informed`, the forecast knows the base torque, else it assumes 0. With `previewed` it
-    knows the lateral set point ahead, else it keeps the present one; the track ahead is always known. `observer` is a
-    gain (-). Wheels that carry side force roll at a creep angle to their heading, which the model lacks and which
-    leaves a steady error of y. With a gain above 0 the controller estimates this angle and adds it to the measured yaw
-    angle; 0 is the paper's."""
+    """Settings of a predictive controller: weights, horizon, prediction model, soft bound of |y|.
+
+    Attributes:
+        q_diag (tuple of 6 float): Weights of the squared deviations of x, psi_Ax, xdot, psidot_Ax, y_TrAx, psi_TrAx,
+            each in 1 over the square of its unit (m, rad, m/s, rad/s, m, rad).
+        r (float): Weight R of du^2, the squared differential torque (1/(N m)^2).
+        q_terminal (float): Factor on the weights of y_TrAx and psi_TrAx at the end of the horizon, where no other state
+            counts (-).
+        period, steps (float, int): Time step T and sampling time, a whole number of ms (s); number of steps of the
+            horizon.
+        discretisation (str): Integration method of the prediction model: "euler", "midpoint" or "rk4".
+        variant (str): "corrected", "printed" (all errata of the paper) or the errata to keep, as "D1,D3".
+        lateral_bound, bound_weight (float): Soft bound of |y_TrAx| (m); weight of its squared excess over the weight of
+            y (-).
+        yielding (bool): Whether |du| may use the whole motor torque. False: only what the base torque (common to both
+            wheels) leaves, as printed, which is 0 at the base torque's limit (erratum D10).
+        informed (bool): Whether the forecast knows the base torque. False: it assumes 0.
+        previewed (bool): Whether the forecast knows the lateral set point ahead. False: it keeps the present one. The
+            track ahead is always known.
+        observer (float): Gain of an offset observer (-); 0, as in the paper, is none. Wheels that carry side force roll
+            at a creep angle to their heading. The model lacks this angle, which leaves a steady error of y. The
+            observer estimates the angle: each sample adds gain (y - predicted y)/(v T) (rad). The controller adds it to
+            the measured yaw angle.
+    """
 
     q_diag: tuple[Any, ...] = (0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
-    """Diagonal of Q: weights of the six states (1/m^2, 1/rad^2, s^2/m^2, s^2/rad^2, 1/m^2, 1/rad^2)."""
     r: Annotated[float, above(0.0, 1e9, "1/(N m)^2")] = 1e-11
-    """Weight R of du^2 (1/(N m)^2)."""
     q_terminal: Annotated[float, between(0.0, 1e9)] = 1.0
-    """Factor q of the terminal cost (-)."""
     period: Annotated[float, above(0.0, 1.0, "s")] = 0.010
-    """Time step T and sampling time (s), a whole number of ms."""
     steps: Annotated[int, between(2, 1000)] = 30
-    """Number L of time steps of the horizon."""
     discretisation: str = "rk4"
-    """Integration method: "euler", "midpoint" or "rk4"."""
     variant: str = "corrected"
-    """Variant of prediction model and forecast, see `model.control_model.control_model`."""
     lateral_bound: Annotated[float, above(0.0, 1.0, "m")] = 8e-3
-    """Soft bound of |y_TrAx| (m)."""
     bound_weight: Annotated[float, between(0.0, 1e9)] = 100.0
-    """Weight of the squared slack of the lateral bound, relative to the weight of y (-)."""
     yielding: StrictBool = True
-    """False: |du| is limited to what the base torque leaves, as printed; this is 0 at the base torque's limit (D10)."""
     informed: StrictBool = True
-    """Whether forecast and prediction model know the base torque. False: they assume 0."""
     previewed: StrictBool = True
-    """Whether the forecast knows the set point ahead. False: it keeps the present one. The track ahead stays known."""
     observer: Annotated[float, between(0.0, 1.0)] = 0.0
-    """Gain of the offset observer (-). It estimates the creep angle between axle and direction of motion (rad): each
-    sample adds gain (y - predicted y)/(v T). 0: no observer, as in the paper."""
 
     def __post_init__(self) -> None:
         if self.period < CONTROL_PERIOD or not round(self.period / CONTROL_PERIOD, 6).is_integer():
@@ -172,8 +172,9 @@ class MPCSettings:
 
 @dataclass(frozen=True)
 class Problem:
-    """One optimal control problem with all its numbers (SI): settings, measured state (6,), base torque per wheel,
-    forecast, parameters (14,) in the order of `model.parameters.PARAMETERS`, torque limit of a motor."""
+    """One optimal control problem with all its numbers (SI): settings; `x_hat`, measured state (6,); `u_d`, base torque
+    per wheel; forecast `ahead`; parameters (14,) in the order of `model.parameters.PARAMETERS`; `tau_max`, torque limit
+    of a motor."""
 
     settings: MPCSettings
     x_hat: np.ndarray

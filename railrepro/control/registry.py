@@ -27,9 +27,10 @@ PAPER, LOOP = SETTINGS
 class Controller:
     """Entry of `CONTROLLERS`: how a lateral controller is made from its tuning parameters. `settings` makes a settings
     object, such as `MPCSettings` or `NDI`, from a dict of tuning parameters, of which `needed` have no default. `build`
-    makes from it what `simulate.run` takes: a law that is called every ms, or a factory, which from vehicle, route,
-    gear makes a slower one such as MPC. `preview` says whether the controller knows set point and track ahead. `quick`
-    has constructor arguments of MPC for studies, as {"solver": "rti"}, a faster solver with nearly equal torques."""
+    makes from this object what `simulate.run` takes: a law that is called every ms, or a factory, a function of
+    vehicle, route and gear that makes a slower controller such as MPC. `preview` says whether the controller knows set
+    point and track ahead. `quick` has constructor arguments of MPC for studies, as {"solver": "rti"}, a faster solver
+    with nearly equal torques."""
 
     build: Callable
     settings: Callable
@@ -59,12 +60,12 @@ def mpc_settings(parameters: dict) -> MPCSettings:
 @dataclass(frozen=True)
 class Predictive:
     """Factory of predictive controllers: called with vehicle, route and gear (0 front, 1 rear), it makes an object of
-    the class `controller` with the same `settings` for both gears and further arguments `options`."""
+    the class `controller` with the same `settings` for both gears. `options` are further arguments of the class, pairs
+    (name, value)."""
 
     controller: type
     settings: MPCSettings
     options: tuple = ()
-    """Further arguments of the class: pairs (name, value)."""
 
     def __call__(self, vehicle, route, gear: int):
         return self.controller(vehicle, route, gear, self.settings, **dict(self.options))
@@ -124,7 +125,7 @@ def guidance(name: str, parameters: dict, options: dict | None = None, **changes
     """Make a lateral controller for `simulate.run`: a 1 kHz law, or a factory of slower controllers such as MPC.
     InputError for an unknown name or argument. `name` is a key of `CONTROLLERS`, such as "nmpc", `parameters` a dict of
     its tuning parameters, as from `registry.parameters`. `options` are further constructor arguments of MPC, such as
-    {"solver": "rti"}; `changes` are fields of `MPCSettings` or `NDI` that replace those from `parameters`."""
+    {"solver": "rti"}; `changes` are fields of `MPCSettings` or `NDI` with values that replace tuned ones."""
     require("controller", name, str)
     if name not in CONTROLLERS:
         raise InputError(f"controller {name!r} is not known; there are {sorted(CONTROLLERS)}")
@@ -162,9 +163,10 @@ def read(controller: str, setting: str = PAPER, folder: Path | None = None) -> d
 
 def tuned_set(controller: str, setting: str = PAPER) -> dict:
     """Tuned parameters of a controller in a setting, "paper" (exact signals) or "loop" (sensors, delays): a dict with
-    "controller", "setting" and "parameters" (name -> value; the function `parameters` returns only these). Those that a
-    swarm or rule found are in a file of data/tuned, whose further entries, such as "cost", are in the dict, too; those
-    that a person chose are in data/tuning.toml. InputError for an unknown setting, or without parameters."""
+    "controller", "setting" and "parameters" (name -> value; the function `parameters` returns only these). Parameters
+    that a swarm or rule found are read from a file of data/tuned; its further entries, such as "cost", are in the dict,
+    too. Parameters that a person chose are read from data/tuning.toml. InputError for an unknown setting, or without
+    parameters."""
     require("controller", controller, str)
     require("setting", setting, str)
     if setting not in SETTINGS:

@@ -303,11 +303,13 @@ def score(
 
 
 def card(table: pd.DataFrame) -> pd.DataFrame:
-    """Summarise a table of `score`: one row per seed, setting and metric. Columns scenario (always "all"), controller,
-    metric, value, unit, setting, seed. Metrics: score, mean points, for which the runs with more delay or a slower
-    drive (group "margins") count as one; margins, mean points of that group; cases, number of runs, that group as one.
-    Without that group: failures, number of failed runs; each of `METRICS`, the largest value of wheel and track forces,
-    the mean of others. Setting "all" has only score, the mean of both."""
+    """Summarise a table of `score`, whose runs have 0 to 100 points each. Returns a row per seed, controller, setting
+    and metric. Columns: scenario (always "all"), controller, metric, value, unit, setting, seed. The setting is "paper"
+    (exact measurements), "loop" (sensors), or "all", which has only the metric score, the mean of the scores of "paper"
+    and "loop". Metrics of these two: score, mean points, where the group of runs with more delay or a slower drive
+    counts as one run; margins, mean points in this group; cases, number of runs, where the group counts as one; of the
+    runs outside of the group failures, number of failed runs, and each key of `METRICS`: the largest value of y_over_q,
+    sum_y_over_limit and wheel_unloading, the mean of others."""
     rows = []
     for (seed, name), draw in table.groupby(["seed", "controller"], sort=False):
         sums = {setting: _sums(part) for setting, part in draw.groupby("setting", sort=False)}

@@ -21,23 +21,21 @@ def export_fmu(
     vehicle: Vehicle | None = None,
     platforms: Sequence[str] | None = None,
 ) -> Path:
-    """Write the car on a route as an FMU (FMI 2.0) for co-simulation, and return the path of the file.
-
-    Inputs are the torques of the four motors (N m): tau_front_le, tau_front_ri, tau_rear_le, tau_rear_ri. Outputs are
-    the signals of the car in a run, such as "front.y". The parameters are those of the car, such as "body.mass", and
-    "speed", the initial speed. Route and contact table are constants. The communication step must be a whole number of
-    ms. The FMU returns the status Error if a torque is NaN or its magnitude above 1e5 N m, and if a state is not finite
-    or reaches 1e7 (SI). `route` may be the name of a track; `speed` is the initial one (m/s); `vehicle` is by default
+    """Write the car on a route as an FMU (FMI 2.0) for co-simulation, and return the path of the file. Inputs are the
+    torques of the four motors (N m): tau_front_le, tau_front_ri, tau_rear_le, tau_rear_ri. Outputs are the signals of
+    the car in a run, such as "front.y". The parameters are those of the car, such as "body.mass", and "speed", the
+    initial speed. Route and contact table are constants. The communication step must be a whole number of ms. The FMU
+    returns the status Error if a torque is NaN or its magnitude above 1e5 N m, and if a state is not finite or reaches
+    1e7 (SI). `route` may be the name of a track; `speed` is the initial one (m/s); `vehicle` is by default
     data/vehicle.toml. `platforms`, such as ("linux64", "win64"), are by default this one. InputError for a wrong
-    argument, a missing compiler, or a file that cannot be written.
-    """
+    argument, a missing compiler, or a file that cannot be written."""
     return car_fmu(component.SteppedCar(route, speed, vehicle), speed).write(path, platforms)
 
 
 def car_fmu(car: component.SteppedCar, speed: float, route_text: Callable = constant) -> Fmu:
-    """Make the `Fmu` of a car with its initial speed (m/s). `route_text` is a function (name, array) -> C source that
-    defines the array; it gets "CELLS" and `Route.cells`, numbers of the route per 0.5 m. The default is `constant`; the
-    live page passes one whose array it fills at run time."""
+    """Make the `Fmu` (content of an FMU, not yet compiled) of a car with its initial speed (m/s). `route_text` is a
+    function (name, array) -> C source that defines the array. It gets "CELLS" and `Route.cells`, numbers of the route
+    per 0.5 m. By default the C array is constant (`constant`); in the live page it is filled at run time."""
     parameters = variables(equations.CarParameters, car.parameters)
     parameters.append(variable("speed", speed, above(0.0, component.LARGEST_SPEED, "m/s")))
     inputs = [Variable(name, 0.0, "N m", -component.LARGEST_TORQUE, component.LARGEST_TORQUE) for name in INPUTS]

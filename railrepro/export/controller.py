@@ -36,16 +36,14 @@ _FIXED = re.compile(r"limit\.|filter\.|cost\.period$|(front|rear)\.(measurement|
 class Export:
     """Controller of both gears on a route, for export as C source or as an FMU. `guidance` is a 1 kHz law, as `NDI()`,
     or a factory (vehicle, route, gear) -> `NMPC` (not with Ipopt), `LTVMPC` or the controller of `LqgPreview`;
-    `registry.tuned("nmpc")` makes one. `vehicle` is the car that it assumes. With `sensors` the export contains the
-    filter for their noise and delays. InputError for a wrong type; other controllers are refused on export."""
+    `registry.tuned("nmpc")` makes one. `vehicle` has the parameters that the controller assumes. With `sensors` the
+    export contains the filter for their noise and delays; None: exact measurements. InputError for a wrong type; other
+    controllers are refused on export."""
 
     guidance: lateral.Guidance
-    """A 1 kHz law, or a factory of `NMPC` (not with Ipopt), `LTVMPC` or `LqgPreview`."""
     route: Route
     vehicle: Vehicle = field(default_factory=load_vehicle)
-    """Vehicle parameters that the controller assumes."""
     sensors: Readings | None = None
-    """Sensors and latencies between car and controller; default none."""
 
     def __post_init__(self) -> None:
         require("export: route", self.route, Route)
@@ -56,8 +54,8 @@ class Export:
 
     def write_source(self, path: Path | str) -> Path:
         """Write one C source file without dependencies, and return its path. Its struct controller_t has the arrays
-        measured, torque and parameters (SI). A comment at the beginning describes the functions and what
-        controller_step, one step of 1 ms, returns."""
+        measured (inputs), torque (outputs) and parameters (SI). A comment at the beginning describes the functions and
+        what controller_step, one step of 1 ms, returns."""
         file = location(path)
         write(file, _HEADER + self.fmu().text.removesuffix(_AS_FMU))
         return file
@@ -71,8 +69,8 @@ class Export:
         return self.fmu().write(path, platforms)
 
     def fmu(self, route_text: Callable = constant) -> Fmu:
-        """Make the `Fmu` of the controller. InputError if it has no C source. `route_text` is a function (name, cells
-        of the route) -> C source that defines the array of this name; default `constant`."""
+        """Make the `Fmu` of the controller. InputError if it has no C source. `route_text` is a function (name, array)
+        -> C source that defines the array. It gets "CELLS" and `Route.cells`, numbers of the route per 0.5 m."""
         lateral_law, factory = lateral.split(self.guidance)
         ends: dict[str, Any] = {"lateral_limit": DERAILED, "track_end": self.route.length, "stop_speed": -1.0}
         control = law.control_law(self.vehicle, lateral_law, sensors=self.sensors, **ends)

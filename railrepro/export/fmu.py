@@ -101,9 +101,10 @@ class Fmu:
     inputs: Sequence[Variable]
     parameters: Sequence[Variable]
     text: str
-    """C source with call.h, generated functions and `numbers_text`. It defines the type fmu_t, macros FMU_INPUTS,
-    FMU_OUTPUTS and FMU_PARAMETERS that name its arrays, and FMU_COUNT(u), the value of `counter`, 0 for none; for a
-    pointer u to an fmu_t reset(u) to the start values, begin(u) with the present parameters, advance(u, steps of 1 ms)."""
+    """C source with call.h, generated functions and `numbers_text`. It defines the type fmu_t; macros FMU_INPUTS,
+    FMU_OUTPUTS, FMU_PARAMETERS, which name its arrays; FMU_COUNT(u), the value of `counter`, 0 for none; and, for a
+    pointer u to an fmu_t, reset(u) to the start values, begin(u) with the present parameters, advance(u, steps of 1
+    ms)."""
     counter: tuple[str, ...] = ()
 
     def write(self, path: Path | str, platforms: Sequence[str] | None = None) -> Path:

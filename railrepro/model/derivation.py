@@ -4,8 +4,7 @@ non-holonomic constraints on their rates, which leave two rates free. The correc
 Lagrange's equations on the free rates (Jourdain's principle). Errata are errors in the paper's equations. An argument
 `discrepancies` is the set of errata that stay as printed, all others are corrected: "D1", the constraints are inserted
 into the energies first; "D2", wheel energy; "D3", yaw rate in rolling; "D7", roll of the suspension. Other names have
-no effect. Serves the paper's section Control-Oriented Model.
-"""
+no effect. Serves the paper's section Control-Oriented Model."""
 
 from functools import lru_cache
 
@@ -126,9 +125,10 @@ def constraints_first(energies: tuple, dependent: dict) -> sp.Matrix:
 
 @lru_cache
 def equations(discrepancies: frozenset[str] = frozenset()) -> tuple[sp.Matrix, sp.Matrix]:
-    """Derive the equations of motion M a + h = 0 of the accelerations a = (xdd, psidd). Returns the SymPy matrices M
-    (2, 2) and h (2, 1). `discrepancies` names the printed errors that stay uncorrected, of "D1", "D2", "D3", "D7"
-    (other names have no effect); without it the model is the corrected one."""
+    """Derive the equations of motion of a running gear with half the car body, M a + h = 0. a = (xdd, psidd) has the
+    second time derivatives of the path x along the track and of the yaw angle psi. Returns the SymPy matrices M (2, 2)
+    and h (2, 1). `discrepancies` has those errors in the paper's equations that stay uncorrected, of "D1", "D2", "D3",
+    "D7" (beginning of this module); other names have no effect. Without it the model is the corrected one."""
     energies = tuple(energy(discrepancies) for energy in (kinetic_energy, potential_energy, dissipation))
     order = constraints_first if "D1" in discrepancies else derivatives_first
     residual = order(energies, constraints(discrepancies)) - sp.Matrix(generalised_forces())

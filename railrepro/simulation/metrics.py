@@ -150,10 +150,11 @@ def stopping_distance(series: pd.DataFrame) -> float:
 
 
 def summary(series: pd.DataFrame) -> dict[str, tuple[float, str]]:
-    """Compute the lateral metrics of a run as a dict: name -> (value, unit). Root mean squares: rmse_y and rmse_y_rear
-    of y - y* (front, rear gear), followed_rmse_y with y from the irregular rails, rail_rmse_y of this y alone (m),
-    effort_du of the torque du, activity_du above 5 Hz (N m). delay of y behind y*, largest_error |y - y*|,
-    mean_error_last_third (of the rows) (m). All but rmse_y_rear are of the front gear."""
+    """Compute the lateral metrics of a run as a dict: name -> (value, unit). rmse_y_rear is of the rear gear, all
+    others are of the front gear. RMS values: rmse_y and rmse_y_rear of y - y* (m); followed_rmse_y of this error with y
+    from the irregular rails (m); rail_rmse_y of y from the irregular rails (m); effort_du of the differential torque
+    du, activity_du of du above 5 Hz (N m). Further: delay, distance by which y trails y* (m); largest_error, largest |y
+    - y*| (m); mean_error_last_third, mean of y - y* over the last third of the rows (m)."""
     error, front = lateral_error(series), Part(series, "front")
     return {
         "rmse_y": (_rms(error), "m"),

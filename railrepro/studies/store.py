@@ -50,12 +50,10 @@ def _plain(value) -> object:
 
 
 def key(module: str, *parts) -> str | None:
-    """Key of a computation in the store: a hexadecimal hash; None when its result cannot be stored.
-
-    `module` is the module that computes, `parts` are the name of the computation and all that it reads: numbers, text,
-    arrays, DataFrames, dataclasses, lists and dicts of these. The result cannot be stored with a part of another type,
-    for a module outside of railrepro, or when files of railrepro were edited after their import.
-    """
+    """Key of a computation in the store: a hexadecimal hash; None when its result cannot be stored. `module` is the
+    module that computes, `parts` are the name of the computation and all that it reads: numbers, text, arrays,
+    DataFrames, dataclasses, lists and dicts of these. The result cannot be stored with a part of another type, for a
+    module outside of railrepro, or when files of railrepro were edited after their import."""
     if not module.startswith("railrepro.") or not code.unchanged(within=1.0):
         return None
     try:

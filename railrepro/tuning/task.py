@@ -104,9 +104,10 @@ class RunEntry:
 
 @data.table
 class SettingEntry:
-    """Tuning with exact measurements ("paper") or with sensors ("loop"), as in data/tuning.toml: `sensors` or not,
-    names of its runs, and dicts controller -> parameter -> value: `designed`, chosen by hand; `rule`, all parameters of
-    NDI but the poles, which the least margin sets; `start`, first particle of a swarm."""
+    """Tuning with exact measurements ("paper") or sensors ("loop"), as in data/tuning.toml. `sensors`: whether there
+    are sensors. `runs`: names of the simulated runs whose mean cost judges a parameter set. The other fields map
+    controller -> parameter -> value: `designed` has parameters chosen by hand; `rule` those of NDI controllers besides
+    the poles, which a search makes as fast as the least disk margin permits; `start` the first particle of a swarm."""
 
     sensors: StrictBool
     runs: Annotated[tuple[str, ...], NOT_EMPTY]

@@ -247,14 +247,11 @@ def _execute(notebook: Notebook, parameters: dict, staging: Path) -> tuple[Any, 
 
 def run(notebook: Notebook, parameters: dict, root: Path) -> Ran:
     """Execute a notebook and move its products below `root`, a folder that is the checkout or has the same layout.
-    Returns what it read, its time and memory (`Ran`).
-
-    `parameters` are values for its parameters cell by name. TOML files in root/data replace those of data/. The
-    executed notebook goes to build/notebooks, for another root to root/notebooks; a failed one is NAME.failed.ipynb.
-    InputError when a cell fails, a product was not written, or a product of another notebook was read. Also when a cell
-    prints a sentence about results whose condition is false (`report.sentences`) although notebook, parameters and
-    inputs are as committed.
-    """
+    Returns what it read, its time and memory (`Ran`). `parameters` are values for its parameters cell by name. TOML
+    files in root/data replace those of data/. The executed notebook goes to build/notebooks, for another root to
+    root/notebooks; a failed one is NAME.failed.ipynb. InputError when a cell fails, a product was not written, or a
+    product of another notebook was read. Also when a cell prints a sentence about results whose condition is false
+    (`report.sentences`) although notebook, parameters and inputs are as committed."""
     import nbformat
 
     begin = time.monotonic()

@@ -125,10 +125,12 @@ def undone(name: str) -> pd.DataFrame:
 
 def main() -> None:
     """Command `calibrated`: judge the paper's statements on the car that was fitted to them (data/paper_like.toml).
-    Writes four tables to data/results: paper_like.csv, a row per statement (columns of `judged`);
-    paper_like_undone.csv, the same with one fitted parameter (column choice) at a time back at its nominal value;
-    paper_like_conflicts.csv, the same over factors (r_factor) on the weight R of NMPC; paper_like_perturbed.csv, a row
-    per random change of them: size (relative), draw (seed), holds (number that hold), falls (ids that now fail)."""
+    Writes four tables to data/results. paper_like.csv has a row per statement (columns of `judged`).
+    paper_like_undone.csv has these rows for each fitted parameter (column choice) alone back at its nominal value;
+    paper_like_conflicts.csv for each factor on the weight R of NMPC (column r_factor, 0.5 to 8).
+    paper_like_perturbed.csv has a row per random change of all fitted parameters: size (largest relative change), draw
+    (seed), holds (number of statements that hold), falls (ids of the statements that hold with the fitted values, but
+    not with the changed ones)."""
     choices = load()
     moves = [(size, draw) for size in SIZES for draw in range(DRAWS)]
     cases = [_values(choices), *(perturbed(choices, size, draw) for size, draw in moves)]

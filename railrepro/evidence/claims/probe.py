@@ -98,8 +98,11 @@ def following(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def entering(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Measure a run of Fig. 6 (curve entry). Returns a dict with the metrics of `following`, delay of y behind y* and
-    `shortfall` (m), `torque_step` (N m) and `path_error` (-), and a DataFrame: every 10th row (None if failed)."""
+    """Measure a run of Fig. 6 (curve entry). Returns a pair: a dict of metrics, and a DataFrame with every 10th row of
+    the run (`metrics.gear_series`). Keys: those of `following`; delay, distance by which y trails its set point y* (m);
+    shortfall, distance by which y stays inside the crests of y* (m); torque_step, mean differential torque over the
+    first wave of y* less that before it (N m); path_error, RMS yaw against the track over RMS heading of the track (-).
+    Of a failed run the dict has only failed = 1, and the DataFrame is None."""
     values, _ = following(run, experiment)
     if run.failed:
         return values, None

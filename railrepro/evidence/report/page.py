@@ -44,7 +44,8 @@ class Thesis:
 
 
 def theses() -> dict[str, Thesis]:
-    """Read the sentences of data/theses.toml in the order of the file: name -> `Thesis`."""
+    """Read the conclusions of the report from data/theses.toml in the order of the file: name -> `Thesis`, a sentence
+    with the conditions on results under which it is true."""
     return data.build(dict[str, Thesis], data.read(paths.source("data/theses.toml")), "theses.toml")
 
 
@@ -94,7 +95,8 @@ class Page:
 
     def render(self, template: str, **more) -> str:
         """Return the text that a template makes, a file name in data/. It may use the notebooks (`chapters`), the
-        tolerances of their comparison (`verify`), the captions of figures and the named values `more`."""
+        tolerances for products of a rerun against the committed ones (`verify`), captions of figures, and the named
+        values `more`."""
         chain, captions = (data.read(paths.NOTEBOOKS / name) for name in ("chain.toml", "book/captions.toml"))
         more |= {
             "chapters": chain["notebook"],
