@@ -51,9 +51,9 @@ def _pairs() -> str:
 
 
 def c_text(*more: ca.Function) -> str:
-    """Write the C source of the car: the functions `more`, then those of the equations of the car, then car.c, which
-    calls the latter. `more` are CasADi functions that the caller's own C needs: the FMU passes `equations.rest`, the
-    initial state."""
+    """Write the C source of the car. It consists of the functions `more`, the functions of the equations of the car,
+    and car.c, which calls the equations. `more` are CasADi functions that the caller's own C needs: the FMU passes
+    `equations.rest`, which makes the initial state."""
     return codegen.source_text(more) + _pairs() + codegen.PREAMBLE + codegen.defines(_SIZES) + _SOURCE
 
 
@@ -97,7 +97,7 @@ class SteppedCar:
         state (ndarray, shape (len(model.states),)): Present state (SI), each entry up to 1e7 in magnitude.
         torque (ndarray, shape (4,)): Torque commands in the order of `equations.WHEELS` (N m), traction-positive, each
             up to 1e5 in magnitude.
-        parameters (ndarray, shape (len(equations.PARAMETERS),)): See `equations.parameter_vector`.
+        parameters (ndarray): Parameters of car, rail adhesion and gravity (SI) in the order of `equations.PARAMETERS`.
         measured (ndarray, shape (len(model.outputs),)): Values of `model.outputs` at the last call of `measure` (SI).
         c (ctypes.Structure): The struct `car_t` of car.c, which holds the arrays.
         time (float): Simulated time (s).
@@ -232,7 +232,8 @@ class SteppedCar:
         return tuple(a.copy() for a in (self.state, self.torque, rows, contacts, self.parameters))
 
     def linearise(self) -> Linearisation:
-        """Linearise the car at the present state and torques, with coefficients of route and contact table fixed."""
+        """Make the `Linearisation` (A, B, C, D) of the car at the present state and torques, with the rows of route and
+        contact table that apply there."""
         car, inputs = self.model, self.inputs()
         x, u = ca.SX.sym("x", len(car.states)), ca.SX.sym("u", len(equations.WHEELS))
         results = car.rate(x, u, *inputs[2:]), car.output(x, u, *inputs[2:])

@@ -101,7 +101,7 @@ def indices(*names: str) -> list[int]:
 
 def parameter_vector(vehicle: Vehicle, good: str = "dry", poor: str = "poor") -> np.ndarray:
     """Return the run-time parameters of the car as a vector in the order of `PARAMETERS` (SI). `good` and `poor` are
-    keys of `vehicle.adhesion`, see `Rails`. InputError for another name."""
+    keys of `vehicle.adhesion`: creep law of the normal rail and of slippery stretches. InputError for another name."""
     for name in (good, poor):
         if not isinstance(name, str) or name not in vehicle.adhesion:
             raise InputError(f"adhesion set {name!r} is not known; there are {list(vehicle.adhesion)}")

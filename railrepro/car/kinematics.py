@@ -44,7 +44,8 @@ def rotation(axis: str, angle: ca.SX) -> ca.SX:
 
 
 def orientation(yaw: ca.SX, pitch: ca.SX, roll: ca.SX) -> ca.SX:
-    """Return the rotation matrix Rz(yaw) Ry(pitch) Rx(roll) of angles in rad, shape (3, 3). Source: eq. (1)."""
+    """Return the matrix Rz(yaw) Ry(pitch) Rx(roll), (3, 3), from turned to original frame, of angles in rad. Source:
+    eq. (1)."""
     return rotation("z", yaw) @ rotation("y", pitch) @ rotation("x", roll)
 
 
@@ -59,7 +60,7 @@ class Section:
         position (SX, shape (3, 1)): Origin of the track frame in inertial components (m).
         curvature (SX, shape (3, 1)): Rotation of the track frame per metre of track, in its own axes (rad/m).
         lateral, vertical, gauge, crosslevel (SX): Irregularities (m; crosslevel rad).
-        irregularity_rates (dict): Name of an irregularity -> its derivative with respect to s.
+        irregularity_rates (dict): Name of an irregularity -> its derivative by s (-; crosslevel rad/m).
         poor (dict): Rail "le" or "ri" -> weight (SX, 0 to 1) of the poor adhesion set against the good one.
     """
 
@@ -96,7 +97,7 @@ class Body(Coordinates):
     """Position and motion of a rigid body with the state `state`, as CasADi expressions; `row` is its row of the route.
 
     Attributes:
-        s, y, z, psi, pitch, phi, vx, vy, vz, wx, wy, wz (SX): The state, see `Coordinates`.
+        s, y, z, psi, pitch, phi, vx, vy, vz, wx, wy, wz (SX): The fields of `state` (m, rad, m/s, rad/s).
         section (Section): The track at s.
         rotation, attitude (SX, shape (3, 3)): From body axes to the track frame; from body axes to the inertial frame.
         position (SX, shape (3, 1)): Centre of gravity in inertial components (m).

@@ -62,7 +62,8 @@ class Contact:
     """Contact of a wheel with its rail: normal force with damping and lift-off, creepages, creep force.
 
     `gear` is the wheel carrier, `side` "le" (left) or "ri" (right), `speed` the absolute angular speed of the wheel
-    (rad/s), positive when rolling forward. `row` is a row of the contact table, `par` an `equations.CarParameters`.
+    (rad/s), positive when rolling forward. `row` is a row of the contact table, `par` an `equations.CarParameters`;
+    `stages` puts symbols in place of motion and forces, so that the Jacobian of the car is cheap.
 
     Attributes:
         sliding, creepage (pair of SX): Sliding speed along and across the rail (m/s), over the running speed (-).

@@ -113,8 +113,8 @@ def in_c(name: str, largest: float = sys.float_info.max) -> Any:
 
 
 class CompiledFunction:
-    """A CasADi function as compiled code, called without copies: fill `arguments`, call, read `results`. These have one
-    float64 array per input and per output, with its structural nonzeros in column-major order. `shared` is a shared
+    """A CasADi function as compiled code, called without copies: fill `arguments`, call, read `results`. Both lists
+    have one float64 array per input or output, with its structural nonzeros in column-major order. `shared` is a shared
     object that has the function; by default it is compiled, or read from the cache."""
 
     def __init__(self, function: ca.Function, shared: ctypes.CDLL | None = None):
@@ -133,15 +133,12 @@ class CompiledFunction:
 
 
 def stored(build: Callable[..., Built]) -> Callable[..., Built]:
-    """Decorator that keeps the results of a function in this process and on disk.
-
-    A result on disk is used only if it has the seal of this user (`cache.seal`) and if the arguments, the library
-    (`code.version`), Python, the packages that compute, and the kernels chosen for NumPy and BLAS are the same.
-
-    `build` is a function of the library outside `railrepro.evidence`. Its arguments are positional, and their `repr`
-    tells them apart. Its result depends on arguments and code only. The annotated type of the result is one that JSON
-    has, `casadi.Function`, `DataFrame`, or a tuple or dataclass of these.
-    """
+    """Decorator that keeps the results of a function in this process and on disk. A result on disk is used only if it
+    has the seal of this user (`cache.seal`) and if the arguments, the library (`code.version`), Python, the packages
+    that compute, and the kernels chosen for NumPy and BLAS are the same. `build` is a function of the library outside
+    `railrepro.evidence`. Its arguments are positional, and their `repr` tells them apart. Its result depends on
+    arguments and code only. The annotated type of the result is one that JSON has, `casadi.Function`, `DataFrame`, or a
+    tuple or dataclass of these."""
     name = f"{build.__module__}.{build.__qualname__}"
 
     @lru_cache

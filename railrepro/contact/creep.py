@@ -106,7 +106,8 @@ def polach(
         load, shear_modulus, slip_speed: Normal force (N), shear modulus (Pa), sliding speed of the contact (m/s).
         a, b: Semi-axes of the contact along and across the rail (m).
         c11, c22, c23, c33: Kalker's coefficients (-).
-        k_a, k_s, mu0, a_ratio, b_decay: As in `vehicle.parameters.AdhesionSet`.
+        k_a, k_s: Factors on the creep stiffness in the areas of adhesion and of slip (-).
+        mu0, a_ratio, b_decay: Friction coefficient mu0 ((1 - a_ratio) exp(-b_decay slip_speed) + a_ratio) (-, -, s/m).
 
     Returns the tangential forces on the wheel along and across the rail (N), together never larger than the friction
     force, and the moment about the contact normal, which points into the rail (N m).

@@ -102,15 +102,12 @@ class LateralLaw(Protocol):
 
 class SlowController(Protocol):
     """Lateral controller of one running gear that is sampled once per `period`. Two further methods are optional.
-
     `read(readings, delay)` is called before `plan` in a run with sensors. `readings` are lateral displacement (m), yaw
     angle against the track (rad) and yaw rate (rad/s) as read. `delay` is the time from reading to torque (s).
-
     `compiled(loop, leader=None)` is for a controller in compiled C and is called once before a run. `loop` has errors
     and delays of sensors and inverters (`Loop`), None for exact states; `leader`, for the rear gear, is the front
     controller. It returns two addresses: of a C function (memory, states (6,) as in `plan`, readings (3,) as in `read`,
-    base torque (N m)) -> differential torque (N m), and of its memory. If it returns None, the run calls `plan`.
-    """
+    base torque (N m)) -> differential torque (N m), and of its memory. If it returns None, the run calls `plan`."""
 
     period: float
     """Sampling time (s), a multiple of 1 ms, the same for both gears."""

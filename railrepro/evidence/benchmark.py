@@ -362,7 +362,8 @@ def main(controller: str, seed: int = PUBLISHED, ranked: bool = False) -> None:
     """Command `score`: score a controller with one seed, print its `card` and write its table to build/score.
     `controller` is a registered name or a Python file. With `ranked` it is scored with `ranked_seeds` in place of
     `seed`, and its row of `ranking` is printed. A file runs in processes of its own, but with all rights of the user; a
-    line says so before it starts. InputError as from `drive`, and for a controller that cannot drive at all."""
+    line says so before it starts. InputError for an unknown controller or seed, one that ends its process or takes over
+    600 s for a run, or one that cannot drive at all."""
     of, begin = entry(controller), time.perf_counter()
     data.require("seed", seed, data.between(0, 2**31), whole=True)
     seeds = ranked_seeds(of) if ranked else (seed,)

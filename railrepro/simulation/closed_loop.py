@@ -95,9 +95,10 @@ class ClosedLoop:
         return np.concatenate(blocks)
 
     def connect(self, planners: Sequence[tuple[int, int]], every: int) -> None:
-        """Let `run` call slower controllers, such as MPC, of the front and the rear gear, each `every` control cycles.
-        `planners` holds for each the addresses of a C function of the type `railrepro.control.cycle.SAMPLE` and of its
-        memory. It is called before the law acts: with sensors it gets the estimated states of the previous cycle."""
+        """Let `run` call slower controllers, such as MPC, of the front and the rear gear, each `every` control cycles
+        (ms). For each controller `planners` has the addresses of a C function of the type
+        `railrepro.control.cycle.SAMPLE` and of its memory. The function is called before the law acts: with sensors it
+        gets the estimated states of the previous cycle."""
         slot, _ = cycle.structures(self.control.signature)
         self._c.every = every
         for g, planner in enumerate(planners):

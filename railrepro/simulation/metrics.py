@@ -58,16 +58,14 @@ FILE_COLUMNS = {column("front", quantity): name for quantity, name in _OF_GEAR.i
 
 
 def gear_series(series: pd.DataFrame, gear: str = "front", stride: int = 1) -> pd.DataFrame:
-    """Select every `stride`-th row of a series, with t_s (s) and the quantities of one running gear (SI).
-
-    Columns for the front gear: front.p and front.v along the track; front.y and its set point front.y_ref; yaw angles
-    front.psi_Ax (absolute), front.psi_TrAx (against the track); torques per wheel: front.du (differential, added to the
-    left motor and subtracted from the right), front.u_d (base torque, which the adhesion law sets for traction or
-    braking), front.tau_long (what of u_d the torque limit leaves beside du); adhesion set point front.f_star;
-    front.segment of the adhesion law; torque, adhesion and slip of each wheel, such as front_ri.tau, front_ri.adhesion,
-    front_ri.sx. Two are added to those of the series: front.creep_angle between heading and motion (rad), and the
-    lateral error front.error (m).
-    """
+    """Select every `stride`-th row of a series, with t_s (s) and the quantities of one running gear (SI). Columns for
+    the front gear: front.p and front.v along the track; front.y and its set point front.y_ref; yaw angles front.psi_Ax
+    (absolute), front.psi_TrAx (against the track); torques per wheel: front.du (differential, added to the left motor
+    and subtracted from the right), front.u_d (base torque, which the adhesion law sets for traction or braking),
+    front.tau_long (what of u_d the torque limit leaves beside du); adhesion set point front.f_star; front.segment of
+    the adhesion law; torque, adhesion and slip of each wheel, such as front_ri.tau, front_ri.adhesion, front_ri.sx. Two
+    are added to those of the series: front.creep_angle between heading and motion (rad), and the lateral error
+    front.error (m)."""
     rows = series.iloc[::stride]
     creepage = Part(rows, f"{gear}_ri").nu_y + Part(rows, f"{gear}_le").nu_y
     added = {f"{gear}.creep_angle": -creepage / 2, f"{gear}.error": lateral_error(rows, gear)}

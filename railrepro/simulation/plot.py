@@ -14,8 +14,8 @@ from railrepro.simulation import metrics
 
 
 class Panel(NamedTuple):
-    """Panel of a plot: `label`; names of the quantities of a gear in it, as in `metrics.column`, the right wheel first;
-    `factor` from SI units to the unit of the label; `reference`, name of the set point, "" for none."""
+    """Panel of a plot: `label`; names of the quantities of a gear in it, as "y", or "ri.tau" of the right wheel, which
+    comes first; `factor` from SI units to the unit of the label; `reference`, name of the set point, "" for none."""
 
     label: str
     columns: tuple[str, ...]

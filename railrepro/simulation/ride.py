@@ -152,14 +152,12 @@ def _quadratic(frequency: float, quality: float) -> np.ndarray:
 
 
 def mean_comfort(along, across, vertical, rate: float) -> float:
-    """Compute the mean comfort N_MV at a floor point (-); nan for a run shorter than 5 s.
-
-    Below 1.5 is very comfortable, 1.5 to 2.5 comfortable, from 4.5 on very uncomfortable. The accelerations (m/s2) in
-    the three directions are weighted by Wd, Wd and Wb. Root mean squares are taken over blocks of 5 s, which start
-    every 0.5 s. N_MV is 6 times the norm of their 95th percentiles in the three directions. The standard asks for 60
-    blocks (5 minutes): with fewer, compare controllers only. Source: EN 12299:2009, standard method (formula read in
-    open software; scale recalled).
-    """
+    """Compute the mean comfort N_MV at a floor point (-); nan for a run shorter than 5 s. Below 1.5 is very
+    comfortable, 1.5 to 2.5 comfortable, from 4.5 on very uncomfortable. The accelerations (m/s2) in the three
+    directions are weighted by Wd, Wd and Wb. Root mean squares are taken over blocks of 5 s, which start every 0.5 s.
+    N_MV is 6 times the norm of their 95th percentiles in the three directions. The standard asks for 60 blocks (5
+    minutes): with fewer, compare controllers only. Source: EN 12299:2009, standard method (formula read in open
+    software; scale recalled)."""
     block, step = round(COMFORT_BLOCK * rate), round(BLOCK_STEP * rate)
     starts = np.arange(0, len(vertical) - block + 1, step)
     if not starts.size:

@@ -33,8 +33,8 @@ class NoSetPoint:
 
 @data.table
 class Sine:
-    """Sinusoidal lateral set point of wavelength `period_m` from `start_m` to `end_m`, or without end. Its amplitude
-    rises and falls over `fade_m`, by default 30 m. See `railrepro.track.route.SetPoint`."""
+    """Sinusoidal lateral set point of wavelength `period_m` (m) from `start_m` to `end_m` (m; None: without end). Its
+    amplitude (mm) rises and falls over `fade_m` (m; None: 30 m)."""
 
     kind: Literal["sine"]
     amplitude_mm: _AMPLITUDE
@@ -46,7 +46,8 @@ class Sine:
 
 @data.table
 class Sweep:
-    """Lateral set point with a wavelength that changes from `period_start_m` to `period_end_m` (m), else as `Sine`."""
+    """Lateral set point whose wavelength changes from `period_start_m` at `start_m` to `period_end_m` at `end_m` (m).
+    Its amplitude (mm) rises and falls over `fade_m` (m; None: 30 m)."""
 
     kind: Literal["sweep"]
     amplitude_mm: _AMPLITUDE
@@ -73,7 +74,7 @@ class Scenario:
         speed_kmh (float): Initial speed (km/h).
         end_m, stop_kmh (float): The run ends when the front gear reaches `end_m` (m) or its speed falls to `stop_kmh`
             (km/h). Without `stop_kmh` it ends when the car stands.
-        good, poor (str): Names of the two adhesion sets of the vehicle.
+        good, poor (str): Adhesion sets of the rail and of its slippery stretches: keys of `Vehicle.adhesion`.
         poor_share (tuple of pairs): Points (p (m), share of the set `poor` (0 to 1)), linear in between.
         poor_share_left, poor_share_right (tuple of pairs): Replace `poor_share` on one rail.
         force_kN (tuple of pairs): Steps (p (m), force demand per running gear from p on (kN, traction positive)).

@@ -89,12 +89,14 @@ def run(
             gear) of slower controllers, such as `NMPC`.
         vehicle (Vehicle): Parameters that the controllers assume of the car; default data/vehicle.toml.
         plant_vehicle (Vehicle): Parameters of the simulated car; default `vehicle`.
-        adhesion (AdhesionSettings): Settings of the adhesion law; default as in `law.control_law`.
-        fixed_share (float): Share of the torque limit reserved for the differential torque (-), see `allocate`.
+        adhesion (AdhesionSettings): Settings of the adhesion law; default `AdhesionSettings()`, with `sensors` changed
+            by `sensors.loop.adhesion`.
+        fixed_share (float): Share of the torque limit kept for the differential torque (-). With 0 this torque may use
+            the whole limit, and the base torque gets the rest.
         sensors (Readings): Sensors between car and controllers; default exact measurements.
-        irregularities, line: Irregular rails and planned set point as in `track.route.lay`; default none.
+        irregularities, line: Irregular rails and planned set point, arguments of `Scenario.route`; default none.
         route (Route): Route of the run; default `scenario.route(irregularities, line)`.
-        substeps (int): Integration steps of the car per millisecond, see `SteppedCar`.
+        substeps (int): Integration steps of the car per millisecond; 2 for wheel unloading on irregular rails.
 
     InputError if an argument has a wrong type or value, or a vehicle lacks an adhesion set of the scenario;
     ArithmeticError if a slower lateral controller returns no finite number.
@@ -127,8 +129,9 @@ def run(
 def start(
     scenario: Scenario, guidance: lateral.LateralLaw, route: Route, vehicle: Vehicle, plant_vehicle: Vehicle, **settings
 ) -> ClosedLoop:
-    """Couple car and 1 kHz law for a scenario, ready to run. The car starts in vertical equilibrium at the initial
-    speed. The arguments are as in `run`; `settings` are its `adhesion`, `fixed_share`, `sensors` and `substeps`."""
+    """Couple car and 1 kHz law (`guidance`) for a scenario, ready to run. The car starts in vertical equilibrium at the
+    initial speed. The controllers assume `vehicle`; the car has the parameters `plant_vehicle`. `settings` are the
+    arguments `adhesion`, `fixed_share`, `sensors` and `substeps` of `run`."""
     substeps = settings.pop("substeps", 1)
     settings |= {"lateral_limit": component.DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
     control = law.control_law(vehicle, guidance, **settings)

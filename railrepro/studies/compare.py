@@ -116,8 +116,8 @@ def compare(
     stride: int = 20,
     **changes,
 ) -> Comparison:
-    """Simulate controllers in a scenario; an argument given as a list gives a run per value, in all combinations. Each
-    argument that is given as a list or mapping is a label of the runs, also with one entry.
+    """Simulate controllers in a scenario and return metrics and series as a `Comparison`. An argument given as a list
+    gives a run per value, in all combinations. Each list or mapping is a label of the runs, also with one entry.
 
     Args:
         scenario (str, Scenario, list or mapping): Name in data/scenarios.toml or a `Scenario`; a list of these, or a

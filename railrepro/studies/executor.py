@@ -124,15 +124,13 @@ def _pools(apart: bool) -> Iterator[list[futures.Executor]]:
 
 
 def ordered_map(task: Callable, arguments: Sequence, title: str, quiet: bool = False, apart: bool = False) -> list:
-    """Call `task` with each of `arguments` in parallel; returns the results in the order of the arguments.
-
-    Each call runs in a thread; what it calls by `work` runs in a process: of a pool on this machine (`workers` of
-    them), or of the Dask cluster in the environment variable RAILREPRO_DASK. Without a cluster, up to 4 arguments (any
-    number if `workers` is 1) are computed in this process, unless a pool runs already. With `apart`, also for few
-    arguments, each thread has a local process of its own, which ends with the study: for code that may end its process
-    or never return; a cluster ignores `apart`. `title` names the progress bar, `quiet` leaves it out. A task must not
-    call `ordered_map`. InputError when a process ended or imported another version of railrepro.
-    """
+    """Call `task` with each of `arguments` in parallel; returns the results in the order of the arguments. Each call
+    runs in a thread; what it calls by `work` runs in a process: of a pool on this machine (`workers` of them), or of
+    the Dask cluster in the environment variable RAILREPRO_DASK. Without a cluster, up to 4 arguments (any number if
+    `workers` is 1) are computed in this process, unless a pool runs already. With `apart`, also for few arguments, each
+    thread has a local process of its own, which ends with the study: for code that may end its process or never return;
+    a cluster ignores `apart`. `title` names the progress bar, `quiet` leaves it out. A task must not call
+    `ordered_map`. InputError when a process ended or imported another version of railrepro."""
     assert not hasattr(_around, "pool"), "a task would wait for itself"
     local = not apart and not os.environ.get("RAILREPRO_DASK") and not _processes.cache_info().currsize
     if local and (len(arguments) <= _FEW or workers() == 1):

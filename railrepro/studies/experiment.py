@@ -140,17 +140,15 @@ class Experiment:
         return row, None if series is None else series.assign(**self.label)
 
     def values(self, run: simulate.Run) -> dict:
-        """Metrics of a run, in SI units, as a dict from name to value.
-
-        Of the front gear, NaN if the run failed (m, torques N m): RMS of y - y* (rmse_y, of the rear gear rmse_y_rear),
-        of y from the irregular rails minus y* (followed_rmse_y), of y from these rails (rail_rmse_y), of the
-        differential torque du (effort_du) and of du above 5 Hz (activity_du); largest |y - y*| (largest_error), mean of
-        y - y* in the last third (mean_error_last_third), distance by which y trails y* (delay). Further: largest_slip
-        of all wheels (-); stopping_distance (m), the distance driven; with a force demand, utilisation of the adhesion
-        (-); failed (bool); failed_at_m (NaN unless failed); ended, why the run ended (text); warnings (text);
-        fallbacks, number of samples of both gears in which a predictive controller found no solution; with `ride`,
-        forces and comfort from `ride.ride_summary`, as y_over_q.
-        """
+        """Metrics of a run, in SI units, as a dict from name to value. Of the front gear, NaN if the run failed (m,
+        torques N m): RMS of y - y* (rmse_y, of the rear gear rmse_y_rear), of y from the irregular rails minus y*
+        (followed_rmse_y), of y from these rails (rail_rmse_y), of the differential torque du (effort_du) and of du
+        above 5 Hz (activity_du); largest |y - y*| (largest_error), mean of y - y* in the last third
+        (mean_error_last_third), distance by which y trails y* (delay). Further: largest_slip of all wheels (-);
+        stopping_distance (m), the distance driven; with a force demand, utilisation of the adhesion (-); failed (bool);
+        failed_at_m (NaN unless failed); ended, why the run ended (text); warnings (text); fallbacks, number of samples
+        of both gears in which a predictive controller found no solution; with `ride`, forces and comfort from
+        `ride.ride_summary`, as y_over_q."""
         vehicle, series = self._surroundings().car, run.series
         values = metrics.summary(series)
         if run.failed:
@@ -170,7 +168,7 @@ class Experiment:
 class Surroundings(NamedTuple):
     """Car, route and sensors around the controllers of a run. Runs of a study share them, so they must not be changed.
     `nominal` is the car that the controllers assume, `car` the simulated one. `digest` is a hash of all values from
-    which these follow, for keys of `store`; None if one of them has a type that `store` cannot hash."""
+    which the other fields are made, for keys of `store`; None if `store` cannot hash the type of a value."""
 
     nominal: Vehicle
     car: Vehicle

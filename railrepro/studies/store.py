@@ -94,9 +94,9 @@ def folder() -> Path | None:
 
 
 def entry(name: str | None, compute: Callable[[], Entry]) -> Entry:
-    """Return the result stored under the key `name`, a pair of a dict and a DataFrame or None; without it call
-    `compute`, store its result and return it. Nothing is stored when `name` is None, or when railrepro was edited
-    meanwhile."""
+    """Return the result stored under the key `name`, a pair of a dict and a DataFrame or None. If there is none, call
+    `compute`, store its result and return it. Nothing is read or stored when `name` is None; nothing is stored when
+    railrepro was edited meanwhile."""
     file = None if name is None or (base := folder()) is None else base / name[:2] / f"{name[2:]}.json"
     content, intact = b"", False
     if file is not None:

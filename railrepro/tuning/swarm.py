@@ -50,9 +50,9 @@ class Dimension:
 
 
 class Swarm:
-    """State of a particle swarm: `ask` gives a parameter set per particle, `tell` takes their costs and moves them.
-    `start` (name -> value) is the parameter set of the first particle; all others begin at random, by `seed`.
-    InputError unless it has all parameters, within their bounds."""
+    """State of a particle swarm: `ask` gives a parameter set per particle, `tell` takes their costs and moves the
+    particles. `start` (name -> value) is the parameter set of the first particle; all others begin at random, by
+    `seed`. InputError unless `start` has all parameters, within their bounds."""
 
     def __init__(self, dimensions: list[Dimension], particles: int, seed: int, start: dict[str, float] | None = None):
         self.dimensions, self.seed, self.iteration = dimensions, seed, 0

@@ -80,7 +80,8 @@ class Cost:
 
 @data.table
 class Margin:
-    """Least disk margin (-) that every tuned parameter set keeps at some speeds, listed in the order of measuring."""
+    """Stability that every tuned parameter set keeps: `least` is the lowest disk margin (-), the tolerated change of
+    gain and phase of the loop, at each of `speeds_kmh`, which are measured in this order."""
 
     least: Annotated[Number, between(0.0, 2.0)]
     speeds_kmh: tuple[Annotated[Number, between(10.0, 500.0, "km/h")], ...]
@@ -123,8 +124,9 @@ _BOUNDS = Annotated[dict[str, tuple[Number, Number, _SCALE]], NOT_EMPTY, _DIMENS
 
 @data.table
 class TaskFile:
-    """Content of data/tuning.toml: size of a search, scales of the cost, least margin; runs by name; settings, "paper"
-    (exact measurements) and "loop" (sensors); per `controller` the searched parameters."""
+    """Content of data/tuning.toml: size of a search (`budget`), scales of the `cost`, least `margin`. `run` maps a name
+    to a simulated run, `setting` the names "paper" (exact measurements) and "loop" (sensors) to what is tuned there,
+    `controller` a controller to the parameters that a swarm searches, with bounds and scale."""
 
     budget: Annotated[Budget, AS_GIVEN]
     cost: Annotated[Cost, AS_GIVEN]

@@ -27,9 +27,10 @@ _SOURCES = [Path(__file__).with_name(name).read_text(encoding="utf-8") for name 
 
 @lru_cache
 def functions(variant: str, discretisation: str) -> tuple[ca.Function, ...]:
-    """CasADi functions, to be written as C before that of `c_text`, which calls them by name: preview_position and
+    """CasADi functions, to be written as C before the text of `c_text`, which calls them by name: preview_position and
     preview_stage of the forecast, riccati_terminal, riccati_backward and riccati_forward of the recursion,
-    torque_limit. `variant` of the model and `discretisation` are as in `MPCSettings`."""
+    torque_limit. `variant` ("corrected", "printed" or errata to keep, as "D1,D3") and `discretisation` ("euler",
+    "midpoint", "rk4") are those of the prediction model."""
     return *forecast.functions(), *recursion(variant, discretisation), torque_limit()
 
 

@@ -306,9 +306,10 @@ def _fault(notebook: Notebook, taken: Reads, staging: Path, false: list[str]) ->
 
 
 def refresh(notebook: Notebook) -> Ran:
-    """Run a notebook in the checkout (errors as `run`) and record in its `stamp` what `last_run` reads: the `Ran` that
-    it returns, hashes of inputs and products. From this `why_stale` tells whether it must run again; `run` alone
-    records nothing. An input that is edited while it runs leaves it stale."""
+    """Run a notebook in the checkout, with InputError when `run` raises it. Write to its file `stamp` the files that it
+    read, time and memory (the `Ran` that is returned), hashes of inputs and products. From this record `why_stale`
+    tells whether it must run again; `run` alone records nothing. An input that is edited while it runs leaves it
+    stale."""
     begin, before = time.time(), inputs(notebook, {})
     ran = run(notebook, notebook.parameters, paths.ROOT)
     after = inputs(chain()[notebook.name], ran.reads)
@@ -322,9 +323,9 @@ def refresh(notebook: Notebook) -> Ran:
 
 
 def figures(names: Sequence[str] = ()) -> int:
-    """Command `figures`: run those notebooks among `names` that are stale, in parallel (up to four, one per core).
-    `names` are names of notebooks or figures, beginnings of the former or numbers of the latter, as "06" or "fig0601"
-    (default all). InputError for a name that nothing has. Returns 1 when a notebook failed, else 0."""
+    """Command `figures`: run those notebooks among `names` that are stale, in parallel (up to four, one per core). A
+    name is that of a notebook, its beginning, as "06", that of a figure, or its number, as "fig0601"; default all
+    notebooks. InputError for a name that nothing has. Returns 1 when a notebook failed, else 0."""
     notebooks = chain()
     wanted = set() if names else set(notebooks)
     for name in names:
