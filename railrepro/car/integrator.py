@@ -16,8 +16,8 @@ class Stages:
         self._held: list[tuple[ca.SX, ca.SX]] = []
 
     def hold(self, *expressions: ca.SX) -> list[ca.SX]:
-        """Store expressions, and return new symbols of the same shapes, with which later expressions are written until
-        `resolve` or `jacobian` puts the stored ones back. They may contain the state and symbols from earlier calls."""
+        """Store expressions and return new symbols of the same shapes, to write later expressions with until `resolve`
+        or `jacobian` puts the stored ones back. Expressions may contain the state and symbols from earlier calls."""
         definition = ca.vertcat(*map(ca.vec, expressions))
         symbols = ca.SX.sym(f"stage{len(self._held)}", definition.numel())
         self._held.append((symbols, definition))

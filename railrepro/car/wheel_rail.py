@@ -15,8 +15,8 @@ _SIGN = {"le": -1, "ri": 1}  # Side of a wheel, positive to the right
 
 
 def shift_to_flange(gear: Body, side: str, par: Any) -> ca.SX:
-    """Compute the lateral shift of the wheel on side "le" or "ri" on its rail, positive towards the flange (m). It is
-    the argument of the contact table. `gear` is the wheel carrier, `par` an `equations.CarParameters`."""
+    """Compute the lateral shift of the wheel on side "le" or "ri" on its rail, positive towards the flange (m), with
+    which the contact table is looked up. `gear` is the wheel carrier, `par` an `equations.CarParameters`."""
     sign = _SIGN[side]
     return sign * (sign * par.gear.contact_base / 2 - _rail_in_axle(gear, sign, par)[0])
 

@@ -86,8 +86,8 @@ def identity(command: str, options: tuple[str, ...]) -> str:
 
 
 def folders(name: str) -> Iterator[Path]:
-    """Yield the possible places of a cache folder `name`: in `build` of a checkout, then in the user's cache. They are
-    made if need be. One that other users can write, or that nobody can, is left out."""
+    """Yield the possible places of a cache folder `name`: in `build` of a checkout, then in the user's cache. Folders
+    are made if need be. A folder that other users can write, or that nobody can, is left out."""
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # stays relative where there is no home
     places = [] if paths.INSTALLED else [paths.BUILD / name]
     places += [Path(home, "railrepro", name)] if os.path.isabs(home) else []
@@ -117,7 +117,7 @@ def user_folder() -> Path:
 def seal(name: str, content: bytes) -> bytes:
     """Compute the seal of a cached file with this name and content: 32 bytes that only this user's secret key gives
     (HMAC), so that a file from others is not loaded. The key is made at the first use and stays in `user_folder`. If
-    this is `cache_folder`, seals show damage, but not that objects and key came from others."""
+    `user_folder` is `cache_folder`, seals show damage, but not that objects and key came from others."""
     return hmac.digest(_key(user_folder() / "key"), name.encode() + b"\0" + content, "sha256")
 
 
@@ -142,9 +142,9 @@ def _is_sealed(target: Path) -> bool:
 
 def build(text: str, portable: bool = False, webassembly: bool = False, triple: str = "") -> Path:
     """Compile a C source text, unless its object is in the cache with its seal, and return the path of the shared
-    object. A `portable` object is for any processor of the architecture, see `flags`. With `webassembly` it is a
-    WebAssembly module; a `triple`, such as "x86_64-windows-gnu", names another platform. Both need the Python package
-    ziglang. InputError if there is no compiler or no folder, or the compiler refuses the source."""
+    object. A `portable` object runs on any processor of the architecture. With `webassembly` it is a WebAssembly
+    module; a `triple`, such as "x86_64-windows-gnu", names another platform. Both need the Python package ziglang.
+    InputError if there is no compiler or no folder, or the compiler refuses the source."""
     if (webassembly or triple) and not found(PACKAGED):
         product = f"shared objects for {triple}" if triple else "modules of WebAssembly"
         raise InputError(f"{product} need `pip install railrepro[compiler]`")

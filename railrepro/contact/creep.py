@@ -64,8 +64,8 @@ def _strips_and_ends(poisson: float) -> tuple[list[np.ndarray], np.ndarray]:
 def strip_coefficients(half_length: np.ndarray, position: np.ndarray, poisson: float = 0.28):
     """Equivalent ellipse and creep coefficients of a contact patch of any shape, divided into strips along the rail.
 
-    For ellipses, c11 a b and c22 a b of Kalker's table are approximately A a b + B a^2, and c23 (a b)^1.5 is
-    approximately A a^2 b + B a^3. Here the A term is a sum over the strips. The B term represents the lateral ends of
+    For ellipses, c11 a b and c22 a b of Kalker's table are nearly A a b + B a^2 with constants A, B, and c23 (a b)^1.5
+    is nearly A a^2 b + B a^3. Here the A term is a sum over the strips. The B term represents the lateral ends of
     the patch by half the total variation of the squared half-length across the strips (cubed for c23), so that each
     lobe has ends. For c33 strips are weighted by their squared distance from the middle. An elliptic patch gets the
     coefficients of Kalker's table.

@@ -36,9 +36,9 @@ class Patch:
     """Contact patch of a wheel on a rail. `position` is the lateral distance of the centre of pressure from the track
     centre (m). `height` is the rolling radius at which the patch rolls without longitudinal force, minus the nominal
     radius (m): mean over the strips, weighted by their creep stiffness, which grows as their load to the power 2/3.
-    `slope` is that of the wheel profile, mean over the pressure (-); tangent of the angle of the normal force.
-    `strips`, shape (n,), is the lateral position of each strip in the contact plane, 0 at the centre of pressure;
-    `half_lengths` half its length along the rail (m)."""
+    `slope` is the slope of the wheel profile, mean over the pressure (-), and the tangent of the angle of the normal
+    force. `strips`, shape (n,), is the lateral position of each strip in the contact plane, 0 at the centre of
+    pressure; `half_lengths`, shape (n,), half the length of each strip along the rail (m)."""
 
     position: float
     height: float

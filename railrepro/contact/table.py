@@ -144,10 +144,9 @@ def _rail() -> tuple[np.ndarray, np.ndarray]:
 
 
 def section(shift: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Cross-section of an S1002 wheel, shifted towards its flange by `shift` (m), on a 60E1 rail at 1:40. Returns
-    arrays of shape (n,): lateral distance from the track centre (m); radius of the wheel profile minus the nominal
-    radius (m); slope of the profile (-), positive where the radius grows towards the flange; depth of the rail below
-    its top (m)."""
+    """Cross-section of an S1002 wheel, shifted towards its flange by `shift` (m), on 60E1 at 1:40: arrays of shape
+    (n,): lateral distance from the track centre (m); radius of the wheel profile minus the nominal radius (m); slope of
+    the profile (-), positive where the radius grows towards the flange; depth of the rail below its top (m)."""
     position, depth = _rail()
     height, slope = profiles.s1002(position - profiles.TAPE_CIRCLE - shift)
     return position, height, -slope, depth

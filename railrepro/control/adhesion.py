@@ -23,7 +23,7 @@ SLOWEST = 1.0
 class AdhesionInputs:
     """Inputs of the adhesion law of one running gear: adhesion `f` and slip `s` of its [left, right] wheel, set point
     `f_star`, speed `v` of the gear along the track, base torque `u` of the cycle before, and data of the vehicle. The
-    base torque is the torque per wheel common to left and right, which this law computes."""
+    base torque, which left and right wheel have in common, is the result of this law."""
 
     f: Annotated[list[Scalar], SIDES, "adhesion (-), traction-positive"]
     s: Annotated[list[Scalar], SIDES, "slip (v - w r)/v (-)"]
@@ -49,15 +49,15 @@ class AdhesionSettings:
 
     Attributes:
         raise_step, lower_step (float): Rise of the base torque while the adhesion is more than `corridor` below its set
-            point, and fall while it is as much above (N m per ms), p1 and p2 of the paper.
+            point, and fall while the adhesion is more than `corridor` above (N m per ms), p1 and p2 of the paper.
         drop_step (float): Fall of the base torque while a wheel is past its adhesion maximum (N m per ms).
         corridor (float): Half width of the corridor around the set point of the adhesion (-).
         filter_time (float): Time constant of the low-pass filters of adhesion and slip (s); the law uses their rates.
         dead_zone (float): Rate of the slip (1/s) below which no wheel counts as past its adhesion maximum.
         noise_speed (float): Speed (m/s) below which the dead zone grows as 1/v, like the noise of a slip computed from
             sensors. 0, for exact slip: the dead zone is constant.
-        active (bool): False: no slip control. The base torque (N m) follows set point x static wheel load x wheel
-            radius, by at most `raise_step` per ms.
+        active (bool): False: no slip control. The base torque moves towards set point x static wheel load x wheel
+            radius (N m), by at most `raise_step` per ms.
     """
 
     raise_step: _STEP = 2.0

@@ -36,10 +36,10 @@ class GearInputs:
 @dataclass(frozen=True)
 class TrackInputs:
     """Inputs of a 1 kHz law at the position of its gear: heading `psi_Tr`, superelevation `phi_Tr` and gradient
-    `eps_Tr` of the track, heading `psi_CB` of the car body, set point `y_ref` of the lateral displacement. The name
-    dX_dp is the derivative of X by the track coordinate p; dy_ref, ddy_ref and dddy_ref are the first three derivatives
-    of y_ref by p. `psi_CB` is not measured: it is the mean heading of the track at both gears, `dpsi_dp_CB` the mean
-    curvature there."""
+    `eps_Tr` of the track, heading `psi_CB` of the car body, set point `y_ref` of the lateral displacement. dX_dp is the
+    derivative of X by the track coordinate p; dy_ref, ddy_ref and dddy_ref are the first three derivatives of y_ref by
+    p. `psi_CB` is not measured: it is the mean heading of the track at both gears, `dpsi_dp_CB` the mean curvature
+    there."""
 
     psi_Tr: Annotated[Scalar, "rad", "heading of the track"]
     dpsi_dp: Annotated[Scalar, "1/m", "curvature of the track"]
@@ -59,8 +59,8 @@ class TrackInputs:
 @dataclass(frozen=True)
 class ModelInputs:
     """Inputs of a 1 kHz law about the nominal vehicle: inertias, yaw suspension and wheel geometry of a gear. `J_eff`
-    is its yaw inertia with counter-rotating wheels, J_z + J_Wy b^2/(2 r_0^2); `m_x_eff` its mass with half the car body
-    and the spin of its wheels, m + m_CB/2 + 2 J_Wy/r_0^2; `b` the distance from left to right contact."""
+    is its yaw inertia J_z with counter-rotating wheels, J_z + J_Wy b^2/(2 r_0^2); `m_x_eff` its mass m with half the
+    car body and the spin of its wheels, m + m_CB/2 + 2 J_Wy/r_0^2; `b` the distance from left to right contact."""
 
     J_eff: Annotated[Scalar, "kg m2", "effective yaw inertia of a running gear"]
     k_sz: Annotated[Scalar, "N m/rad", "yaw stiffness of the suspension"]
@@ -101,13 +101,14 @@ class LateralLaw(Protocol):
 
 
 class SlowController(Protocol):
-    """Lateral controller of one running gear that is sampled once per `period`. Two further methods are optional.
-    `read(readings, delay)` is called before `plan` in a run with sensors. `readings` are lateral displacement (m), yaw
-    angle against the track (rad) and yaw rate (rad/s) as read. `delay` is the time from reading to torque (s).
-    `compiled(loop, leader=None)` is for a controller in compiled C and is called once before a run. `loop` has errors
-    and delays of sensors and inverters (`Loop`), None for exact states; `leader`, for the rear gear, is the front
-    controller. It returns two addresses: of a C function (memory, states (6,) as in `plan`, readings (3,) as in `read`,
-    base torque (N m)) -> differential torque (N m), and of its memory. If it returns None, the run calls `plan`."""
+    """Lateral controller of one running gear that is sampled once per `period` (s), a multiple of 1 ms. Two further
+    methods are optional. `read(readings, delay)` is called before `plan` in a run with sensors. `readings` are lateral
+    displacement (m), yaw angle against the track (rad) and yaw rate (rad/s) from the sensors. `delay` is the time from
+    reading to torque (s). `compiled(loop, leader=None)`of a controller in compiled C is called once before a run.
+    `loop` has errors and delays of sensors and inverters (`Loop`), None for exact states; `leader`, for the rear gear,
+    is the front controller. The two addresses that it returns are those of a C function (memory, states (6,) as in
+    `plan`, readings (3,) as in `read`, base torque (N m)) -> differential torque (N m), and of its memory; with None
+    the run calls `plan`."""
 
     period: float
     """Sampling time (s), a multiple of 1 ms, the same for both gears."""
@@ -203,10 +204,10 @@ def gains_of(law: LateralLaw) -> dict[str, float]:
 
 
 def signature(law: LateralLaw) -> Signature:
-    """Make the `Signature` of a 1 kHz law: its equations as text, and the names of its gains and states. They come from
-    one call of `law.torque(q)` with CasADi symbols. InputError if a gain is not a finite number, a gain or state is
-    called as another quantity in `q`, the torque or a next state is no scalar expression, the states that the law
-    returns are not those of `memory`, or it uses a symbol that is not in `q`."""
+    """Make the `Signature` of a 1 kHz law: its equations as text, and the names of its gains and states. The equations
+    come from one call of `law.torque(q)` with CasADi symbols. InputError if a gain is not a finite number, a gain or
+    state is called as another quantity in `q`, the torque or a next state is no scalar expression, the states that the
+    law returns are not those of `memory`, or the law uses a symbol that is not in `q`."""
     owner, memory, gains = _owner(law), tuple(getattr(law, "memory", ())), tuple(gains_of(law))
     equations = type(law), getattr(type(law), "torque", None), memory, gains
     if equations in _alike:
@@ -240,7 +241,7 @@ def _owner(law: LateralLaw) -> str:
 def answer(law: LateralLaw, q: Quantities) -> tuple[ca.SX, dict[str, ca.SX]]:
     """Call `law.torque(q)` and return the differential torque (N m) with a dict from state to next value, empty without
     memory. InputError if the law uses an attribute that `q` lacks, compares expressions by `if`, `min` or `max`, or
-    returns anything else."""
+    returns neither a torque nor a pair (torque, dict)."""
     owner = _owner(law)
     try:
         result = law.torque(q)

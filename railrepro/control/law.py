@@ -31,9 +31,9 @@ _SHARE = between(0.0, 1.0, "-")
 
 @dataclass(frozen=True)
 class LawGains:
-    """Numbers of the 1 kHz law that may change without compiling again (SI): gains `lateral` of the lateral law, whose
-    names are in the subclass `LawSignature.Gains`; settings of the adhesion law; share and load below; nominal vehicle;
-    motor; limits that end a run."""
+    """Numbers of the 1 kHz law that may change without compiling again (SI). `lateral` are the gains of the lateral
+    law, whose names are in the subclass `LawSignature.Gains`; `adhesion` the settings of the adhesion law; `model` and
+    `drive` the nominal vehicle and motor; `limit` the limits at which a run ends."""
 
     lateral: Annotated[list[Scalar], ()]
     adhesion: AdhesionSettings
@@ -56,8 +56,7 @@ class SensedGains(LawGains):
 @dataclass(frozen=True)
 class GearMemory:
     """What the 1 kHz law of one running gear keeps from cycle to cycle: base torque `u` (common to both wheels),
-    filters of the adhesion law, states `lateral` of the lateral law, whose names are in the class
-    `LawSignature.Memory`."""
+    filters of the adhesion law, states `lateral` of the lateral law(names in `LawSignature.Memory`)."""
 
     u: Annotated[Scalar, "N m", "base torque"]
     adhesion: AdhesionMemory
@@ -66,8 +65,9 @@ class GearMemory:
 
 @dataclass(frozen=True)
 class SensedGearMemory(GearMemory):
-    """`GearMemory` of a run with sensors. It also has `sensor`, readings and torque commands under way; `filter`, state
-    of the filter that estimates the states; `estimated`, its last estimates; `read`, the last readings."""
+    """`GearMemory` of a run with sensors. It also has `sensor`, readings and torque commands that a delay still holds
+    back; `filter`, state of the filter that estimates states; `estimated`, its last estimates; `read`, last
+    readings."""
 
     sensor: SensorMemory
     filter: observers.FilterState
@@ -95,8 +95,7 @@ class LawSignature:
 
     @cached_property
     def Gains(self) -> type[LawGains]:
-        """Class of the gains: `LawGains` or, with sensors, `SensedGains`, in which the gains of the lateral law have
-        names."""
+        """Class of the gains: `LawGains`, with sensors `SensedGains`, in which gains of the lateral law have names."""
         gains = SensedGains if self.sensed else LawGains
         return reannotated(gains, lateral=Annotated[list[Scalar], self.lateral.gains])
 
@@ -150,11 +149,11 @@ def control_law(
 
     `vehicle` has the parameters that the controllers assume. `guidance` is the lateral law; by default it applies the
     torque of a slower controller (`ZeroOrderHold`). `sensors` has noise, delays and filter; None: controllers get exact
-    states without delay. `adhesion` is by default `AdhesionSettings()`, with the values of `sensors.loop.adhesion`.
-    `fixed_share` (0 to 1) is the part of a motor's torque limit kept for the differential torque; the base torque gets
-    the rest. With 0 the differential torque may use the whole limit, and the base torque gets what is left. A run ends
-    when |lateral displacement| of a gear exceeds `lateral_limit` (m), or the front gear reaches `track_end` (m) or is
-    as slow as `stop_speed` (m/s).
+    states without delay. `adhesion` is by default `AdhesionSettings()`, with `sensors` changed by
+    `sensors.loop.adhesion`. `fixed_share` (0 to 1) is the part of a motor's torque limit kept for the differential
+    torque; the base torque gets the rest. With 0 the differential torque may use the whole limit, and the base torque
+    gets what is left. A run ends when |lateral displacement| of a gear exceeds `lateral_limit` (m), or the front gear
+    reaches `track_end` (m) or is as slow as `stop_speed` (m/s).
     """
     require("fixed_share", fixed_share, _SHARE)
     if sensors is not None:

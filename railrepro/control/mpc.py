@@ -69,8 +69,8 @@ class PredictiveController:
 
     def problem(self, x_hat: np.ndarray, u_d: float) -> Problem:
         """The nonlinear optimal control `Problem` of a sample at a measured state (6,) (SI) and a base torque per wheel
-        (N m), to inspect or compare solvers. `plan` solves it, or with LTV-MPC or one iteration approximates it. Only
-        with `MPCSettings.observer` above 0 does `plan` have another state: it adds the observed creep angle, between
+        (N m), to inspect or compare solvers. `plan` solves it, or with LTV-MPC or one iteration approximates it. With
+        `MPCSettings.observer` above 0 `plan` starts from another state: it adds the observed creep angle, between
         heading and motion, to the measured yaw angle."""
         x_hat, u_d = self._checked(x_hat, u_d if self.settings.informed else 0.0)
         limit = self.vehicle.drive.limit(x_hat[XDOT] / self.vehicle.wheel.radius)
@@ -79,7 +79,7 @@ class PredictiveController:
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
         """Solve one sample and return the differential torque (N m) to hold until the next. `x_hat` (6,) is the
         measured state (SI) in the order of `control_model.STATES`, `u_d` the base torque per wheel (N m). InputError
-        unless they are finite."""
+        unless finite."""
         begin = time.thread_time()
         self._measured[:], u_d = self._checked(x_hat, u_d)
         torque = self._torque(ctypes.c_void_p(self._measured.ctypes.data), ctypes.c_double(u_d))
@@ -129,8 +129,8 @@ class NMPC(PredictiveController):
 @dataclass
 class LTVMPC(PredictiveController):
     """Linear time-variant MPC of one running gear: one QP per sample, with the model linearised along the forecast. By
-    default the linearisation is about centred riding along the track and keeps its affine term. With `printed` it is
-    about a yaw angle of zero and drops the affine term, as in the paper (erratum D6)."""
+    default the model is linearised about centred riding along the track and keeps its affine term. With `printed` it is
+    linearised about a yaw angle of zero and has no affine term, as in the paper (erratum D6)."""
 
     printed: bool = False
     mode = LINEAR

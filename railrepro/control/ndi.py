@@ -22,9 +22,8 @@ class NDI:
     Attributes:
         pole (float): Magnitude of the real pole of the error dynamics (rad/s).
         frequency, damping (float): Natural frequency (rad/s) and damping ratio (-) of the pair of complex poles.
-        integral (float): Gain ki of the integrated error over k0 x `pole` (-), see `gains`. 0: no integral action.
-        rates (bool): Whether the first three derivatives of the set point are fed forward. As we read the paper, they
-            are not.
+        integral (float): Relative gain ki/(k0 `pole`) of the integrated error (-). 0: no integral action.
+        rates (bool): Whether the first three derivatives of the set point are fed forward; as we read the paper, not.
     """
 
     pole: Annotated[float, above(0.0, 1e4, "rad/s")] = 30.0
@@ -79,9 +78,9 @@ def wanted_jerk(q: lateral.Quantities) -> ca.SX:
 
 def inverse(jerk: ca.SX, q: lateral.Quantities) -> ca.SX:
     """Differential torque (N m) at which y has the third time derivative `jerk` (m/s^3), as an expression of the
-    symbols `q` of gear, track and vehicle. The yaw equation is the corrected one of `railrepro.model.derivation` to
-    first order. It neglects the yaw stiffness by gravity, which is 1 % of the stiffness of the springs, and the yaw
-    moment of the base torque on unequal rolling radii or a rolled axle."""
+    symbols `q` of gear, track and vehicle. The yaw equation is that of the corrected control model to first order
+    (`railrepro.model.derivation`). It neglects the yaw stiffness by gravity, which is 1 % of the stiffness of the
+    springs, and the yaw moment of the base torque on unequal rolling radii or a rolled axle."""
     ydot, psidot_r = q.v * q.psi, q.yaw_rate - q.v * q.dpsi_dp
     psiddot_r = (jerk - 2 * q.xddot * psidot_r) / ca.fmax(q.v, 1.0)
     psiddot = psiddot_r + q.ddpsi_dp * q.v**2 + q.dpsi_dp * q.xddot

@@ -85,13 +85,14 @@ def slack_on(side, x, t: Tuning):
 
 @stored
 def dynamics(variant: str, discretisation: str) -> ca.Function:
-    """Make one time step T of the prediction model as a CasADi function (SI), for a `variant` of the model and a
-    `discretisation` as in `MPCSettings`. It maps (x[6], differential torque du, base torque u_d, theta[9], par[14], T,
-    affine) to the next state x_next[6] and its derivatives A by x, sparse (6, 6), and B by du [6]. Orders: x
-    `control_model.STATES` (x, psi_Ax, …, psi_TrAx); theta, track at the gear, `control_model.THETA` (heading,
-    curvature, …); par, the vehicle, `model.parameters.PARAMETERS` (masses, inertias, …). With affine = 1, x_next is
-    that of the model. With affine = 0 it is A x plus each torque, du and u_d, times its derivative: the printed linear
-    model without affine term (erratum D6)."""
+    """Make one time step T of the prediction model as a CasADi function (SI), for a `variant` of the model
+    ("corrected", "printed" or errata to keep, as "D1,D3") and a `discretisation` ("euler", "midpoint", "rk4"). It maps
+    (x[6], differential torque du, base torque u_d, theta[9], par[14], T, affine) to the next state x_next[6] and its
+    derivatives A by x, sparse (6, 6), and B by du [6]. Orders: x `control_model.STATES` (x, psi_Ax, …, psi_TrAx);
+    theta, track at the gear, `control_model.THETA` (heading, curvature, …); par, the vehicle,
+    `model.parameters.PARAMETERS` (masses, inertias, …). With affine = 1, x_next is the next state of the model. With
+    affine = 0, x_next is A x plus each torque, du and u_d, times its derivative: the printed linear model without
+    affine term (erratum D6)."""
     step = discretise(control_model(variant), discretisation)
     x, du, u_d, affine = ca.SX.sym("x", len(STATES)), ca.SX.sym("du"), ca.SX.sym("u_d"), ca.SX.sym("affine")
     theta, par, period = ca.SX.sym("theta", len(THETA)), ca.SX.sym("par", len(PARAMETERS)), ca.SX.sym("T")
@@ -172,9 +173,9 @@ class MPCSettings:
 
 @dataclass(frozen=True)
 class Problem:
-    """One optimal control problem with all its numbers (SI): settings; `x_hat`, measured state (6,); `u_d`, base torque
-    per wheel; forecast `ahead`; parameters (14,) in the order of `model.parameters.PARAMETERS`; `tau_max`, torque limit
-    of a motor."""
+    """One optimal control problem in numbers (SI): settings; `x_hat`, measured state (6,); `u_d`, base torque per
+    wheel; forecast `ahead`; parameters (14,) in the order of `model.parameters.PARAMETERS`; `tau_max`, torque limit of
+    a motor."""
 
     settings: MPCSettings
     x_hat: np.ndarray

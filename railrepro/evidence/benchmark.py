@@ -137,7 +137,7 @@ def entry(controller: str) -> str | Path:
 
 def ranked_seeds(of: str | Path) -> tuple[int, ...]:
     """Seeds for `cases` whose scores rank a controller, as from `entry`: the five `RANKED` for a registered name; for a
-    file five from its SHA-256, so that nobody can tune to them: each change gives others, except of line endings."""
+    file five from its SHA-256, so that nobody can tune to them. Any change but of line endings gives other seeds."""
     if isinstance(of, str):
         return RANKED
     digest = hashlib.sha256(_SALT + of.read_bytes().replace(b"\r\n", b"\n")).digest()
@@ -178,13 +178,14 @@ def known_route(route: Route) -> Route:
 
 
 def drive(of: str | Path | type, case: Experiment) -> dict:
-    """Simulate a run of `cases` and return its row, a dict. `of` is a key of `registry.CONTROLLERS`, a class or a file,
-    which a process runs. The row has the labels of the run, controller (name), failure (one sentence, "" for a good
-    run) and metrics (SI). Of the front gear: error, RMS of y - y* (with sensors y is from the irregular rails);
-    effort_du, RMS differential torque; activity_du, its part above 5 Hz; utilisation of the adhesion limit;
-    stopping_distance. Of all wheels: y_over_q and sum_y_over_limit, largest wheel and track forces; wheel_unloading.
-    comfort: index N_MV, less is better. A run whose controller raises an error has no metrics. InputError when a file
-    ended its process or took longer than 600 s, if the run is started by `executor.ordered_map` with apart=True."""
+    """Simulate a run of `cases` and return its row, a dict. `of` is a key of `registry.CONTROLLERS`, a class, or a
+    file, which runs in another process. The row has the labels of the run, controller (name), failure (one sentence, ""
+    for a good run) and metrics (SI). Of the front gear: error, RMS of y - y* (with sensors y is from the irregular
+    rails); effort_du, RMS differential torque; activity_du, its part above 5 Hz; utilisation of the adhesion limit;
+    stopping_distance. Of all wheels: y_over_q, largest wheel force ratio Y/Q; sum_y_over_limit, largest track shifting
+    force over its limit; wheel_unloading. comfort: index N_MV, less is better. A run whose controller raises an error
+    has no metrics. InputError when a file ended its process or took longer than 600 s, if the run is started by
+    `executor.ordered_map` with apart=True."""
     head = case.label | {"controller": name_of(of), "failure": ""}
     if isinstance(of, Path):
         run = f"{of.name}: its run {case.label['scenario']} in the setting {case.setting}"
@@ -252,7 +253,8 @@ def cost(row: dict) -> float:
 
 
 def points(row: dict) -> float:
-    """Points (0 to 100) of a run. `row` is its row of `drive` together with the entries of its `ends_of_the_scale`."""
+    """Points of a run, 0 (cost `nothing`, or failed) to 100 (cost `best`). `row` is its row of `drive` together with
+    the entries of its `ends_of_the_scale`."""
     if row["failure"]:
         return 0.0
     q, nothing, best = (1 / (1 + value) for value in (cost(row), row["nothing"], row["best"]))
@@ -289,10 +291,10 @@ def _bounds(loop: Loop, speed: float) -> store.Entry:
 def score(
     of: str | Path | type, seeds: Sequence[int], names: Sequence[str] | None = None, quiet: bool = False
 ) -> pd.DataFrame:
-    """Score a controller on the suite: one row per run and seed. `of` is a controller as in `drive`, `seeds` are seeds
-    of `cases`, each a suite of its own, `names` are names of runs (default all). `quiet` shows no progress bars.
-    Columns: scenario (name of the run), setting ("paper": exact measurements, "loop": sensors), group, seed,
-    controller, failure ("" for a good run), metrics of the run as in `drive` (SI), above all error, effort_du,
+    """Score a controller on the suite: one row per run and seed. `of` is a key of `registry.CONTROLLERS`, a class or a
+    file, `seeds` are seeds of `cases`, each a suite of its own, `names` are names of runs (default all). `quiet` shows
+    no progress bars. Columns: scenario (name of the run), setting ("paper": exact measurements, "loop": sensors),
+    group, seed, controller, failure ("" for a good run), the metrics of `drive` (SI), above all error, effort_du,
     activity_du (RMS lateral error, RMS differential torque, its part above 5 Hz), points (0 to 100), and nothing, best,
     limit of `ends_of_the_scale`."""
     drawn = [replace(case, label=case.label | {"seed": seed}) for seed in seeds for case in cases(seed, names)]
@@ -395,8 +397,8 @@ def main(controller: str, seed: int = PUBLISHED, ranked: bool = False) -> None:
 def leaderboard() -> None:
     """Command `leaderboard`: score the controllers of the library, a car without guidance and two examples of own
     controllers (examples/only_y.py, pid.py) with six seeds each. Writes data/results/leaderboard.csv, a row per
-    controller, seed, setting and metric (columns as of `card`), and prints the `ranking`. The poles of nonlinear
-    dynamic inversion are, like the weights of NMPC, those that the particle swarm found, in both settings."""
+    controller, seed, setting and metric (columns of `card`), and prints the `ranking`. In both settings a particle
+    swarm found the poles of nonlinear dynamic inversion, as it found the weights of NMPC."""
     shown = [f"{name}_swarm" if name in INVERSIONS else name for name in SHOWN]
     entries = [*shown, NOTHING, *(paths.ROOT / f"examples/{name}.py" for name in ("only_y", "pid"))]
     cards = pd.concat([card(score(of, (PUBLISHED, *RANKED))) for of in entries], ignore_index=True)

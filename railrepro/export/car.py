@@ -23,12 +23,12 @@ def export_fmu(
 ) -> Path:
     """Write the car on a route as an FMU (FMI 2.0) for co-simulation, and return the path of the file. Inputs are the
     torques of the four motors (N m): tau_front_le, tau_front_ri, tau_rear_le, tau_rear_ri. Outputs are the signals of
-    the car in a run, such as "front.y". The parameters are those of the car, such as "body.mass", and "speed", the
-    initial speed. Route and contact table are constants. The communication step must be a whole number of ms. The FMU
-    returns the status Error if a torque is NaN or its magnitude above 1e5 N m, and if a state is not finite or reaches
-    1e7 (SI). `route` may be the name of a track; `speed` is the initial one (m/s); `vehicle` is by default
-    data/vehicle.toml. `platforms`, such as ("linux64", "win64"), are by default this one. InputError for a wrong
-    argument, a missing compiler, or a file that cannot be written."""
+    the car in a run (SI), such as "front.y". Parameters are the numbers of the car, such as "body.mass", and "speed",
+    the initial speed. Route and contact table are constants. The communication step must be a whole number of ms. The
+    FMU returns the status Error if a torque is NaN or its magnitude above 1e5 N m, and if a state is not finite or
+    reaches 1e7 (SI). `route` may be the name of a track; `speed` is the initial speed (m/s); `vehicle` is by default
+    data/vehicle.toml. `platforms` are names such as ("linux64", "win64"), default the platform of this machine.
+    InputError for a wrong argument, a missing compiler, or a file that cannot be written."""
     return car_fmu(component.SteppedCar(route, speed, vehicle), speed).write(path, platforms)
 
 

@@ -35,10 +35,10 @@ _FIXED = re.compile(r"limit\.|filter\.|cost\.period$|(front|rear)\.(measurement|
 @dataclass(frozen=True)
 class Export:
     """Controller of both gears on a route, for export as C source or as an FMU. `guidance` is a 1 kHz law, as `NDI()`,
-    or a factory (vehicle, route, gear) -> `NMPC` (not with Ipopt), `LTVMPC` or the controller of `LqgPreview`;
-    `registry.tuned("nmpc")` makes one. `vehicle` has the parameters that the controller assumes. With `sensors` the
-    export contains the filter for their noise and delays; None: exact measurements. InputError for a wrong type; other
-    controllers are refused on export."""
+    or a factory, as from `registry.tuned("nmpc")`: a function (vehicle, route, gear) -> `NMPC` (not with Ipopt),
+    `LTVMPC` or the controller of `LqgPreview`. `vehicle` has the parameters that the controller assumes. With `sensors`
+    the export contains the filter that estimates the states from noisy and delayed readings; None: exact measurements.
+    InputError for a wrong type, and from the methods for another controller."""
 
     guidance: lateral.Guidance
     route: Route
@@ -65,7 +65,7 @@ class Export:
         "front.p". Outputs are the four motor torques (N m), "tau_front_le" to "tau_rear_ri", and "fallbacks", the
         number of samples that a predictive controller could not solve. Parameters are the gains of the law, such as
         "lateral.k0", and of a predictive controller its weights ("cost.r") and model parameters ("belief.J_z").
-        `platforms`, such as ("linux64", "win64"), are by default this one."""
+        `platforms` are names such as ("linux64", "win64"), default the platform of this machine."""
         return self.fmu().write(path, platforms)
 
     def fmu(self, route_text: Callable = constant) -> Fmu:

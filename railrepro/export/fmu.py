@@ -48,9 +48,9 @@ class Variable:
 
 
 def variable(name: str, value: float, note: Any = None) -> Variable:
-    """Make a `Variable` from its name, its value and a `note`: its unit, or a `data.Quantity` with unit and range. A
-    range of magnitudes low < |x| <= high has two parts; FMI knows only one minimum and maximum, so the `Variable` gets
-    the part with the sign of `value`."""
+    """Make a `Variable` from its name, its value and a `note`: its unit, a `data.Quantity` with unit and range, bool (0
+    to 1), or None. A range of magnitudes low < |x| <= high has two parts; FMI knows only one minimum and maximum, so
+    the `Variable` gets the part with the sign of `value`."""
     note = between(0.0, 1.0) if note is bool else note
     if not isinstance(note, Quantity):
         return Variable(name, float(value), note if isinstance(note, str) else "")
@@ -103,8 +103,7 @@ class Fmu:
     text: str
     """C source with call.h, generated functions and `numbers_text`. It defines the type fmu_t; macros FMU_INPUTS,
     FMU_OUTPUTS, FMU_PARAMETERS, which name its arrays; FMU_COUNT(u), the value of `counter`, 0 for none; and, for a
-    pointer u to an fmu_t, reset(u) to the start values, begin(u) with the present parameters, advance(u, steps of 1
-    ms)."""
+    pointer u to an fmu_t, reset(u) to the start values, begin(u) with the present parameters,advance(u, ms)."""
     counter: tuple[str, ...] = ()
 
     def write(self, path: Path | str, platforms: Sequence[str] | None = None) -> Path:

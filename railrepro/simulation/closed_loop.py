@@ -26,8 +26,8 @@ _SOURCE = Path(__file__).with_name("loop.c").read_text(encoding="utf-8")
 
 @lru_cache
 def library(signature: law.LawSignature) -> tuple[ctypes.CDLL, Any]:
-    """Compile `loop.c`, the loop over car and control law, for a 1 kHz law of this signature (names of its inputs and
-    states). Returns the loaded shared object, and the ctypes class of `loop_t`, the struct on which the loop works."""
+    """Compile `loop.c`, the loop over car and control law, for a 1 kHz law with this signature (its equations without
+    values of gains). Returns the loaded shared object, and the ctypes class of `loop_t`, the struct of the loop."""
     measured = ", ".join(str(names(Outputs).index(name)) for name in interface.MEASURED)
     text = codegen.PREAMBLE + cycle.c_text(signature, len(names(signature.Gains)))
     text += codegen.defines({"MEASURED_OF_OUTPUT": "{" + measured + "}"})
@@ -107,6 +107,6 @@ class ClosedLoop:
     @property
     def margins(self) -> dict[str, float]:
         """Distances to the limits of a run, which ends when one is not positive: front.lateral and rear.lateral, to
-        derailment (m); track_end, of the front gear to the end of the route (m); stop_speed, its speed less the one at
-        which the run ends (m/s); front.torque, rear.torque: 0 if the torque is not finite, else 1."""
+        derailment (m); track_end, of the front gear to the end of the route (m); stop_speed, speed of the front gear
+        less the speed at which the run ends (m/s); front.torque, rear.torque: 0 if the torque is not finite, else 1."""
         return dict(zip(interface.MARGINS, self._arrays["margins"].tolist(), strict=True))

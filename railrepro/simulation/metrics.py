@@ -63,9 +63,9 @@ def gear_series(series: pd.DataFrame, gear: str = "front", stride: int = 1) -> p
     (absolute), front.psi_TrAx (against the track); torques per wheel: front.du (differential, added to the left motor
     and subtracted from the right), front.u_d (base torque, which the adhesion law sets for traction or braking),
     front.tau_long (what of u_d the torque limit leaves beside du); adhesion set point front.f_star; front.segment of
-    the adhesion law; torque, adhesion and slip of each wheel, such as front_ri.tau, front_ri.adhesion, front_ri.sx. Two
-    are added to those of the series: front.creep_angle between heading and motion (rad), and the lateral error
-    front.error (m)."""
+    the adhesion law (1 to 3); torque, adhesion and slip of each wheel, such as front_ri.tau, front_ri.adhesion,
+    front_ri.sx. Two columns are not in `series`: front.creep_angle between heading and motion (rad), and the lateral
+    error front.error (m)."""
     rows = series.iloc[::stride]
     creepage = Part(rows, f"{gear}_ri").nu_y + Part(rows, f"{gear}_le").nu_y
     added = {f"{gear}.creep_angle": -creepage / 2, f"{gear}.error": lateral_error(rows, gear)}

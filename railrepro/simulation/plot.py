@@ -49,7 +49,8 @@ def chosen(names: Sequence[str]) -> list[Panel]:
 
 def draw(axes: Sequence[Axes], panels: Sequence[Panel], series: pd.DataFrame, look: Mapping, gear: str) -> None:
     """Draw one run over the track coordinate (m) into existing axes, one of `panels` in each; the left wheel is paler.
-    `series` is the table from `metrics.gear_series` for `gear`, "front" or "rear"; `look` is for `Axes.plot`."""
+    `series` is the table from `metrics.gear_series` for `gear`, "front" or "rear"; `look` has keywords of
+    `Axes.plot`."""
     p = series[metrics.column(gear, "p")]
     for axis, (_, (first, *second), factor, _) in zip(axes, panels, strict=True):
         for column in second:

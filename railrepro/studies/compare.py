@@ -58,8 +58,8 @@ class Comparison:
         return pd.DataFrame({name: self[name] for name in quantities})
 
     def data(self, *panels: str) -> pd.DataFrame:
-        """Table of what `plot` draws for `panels`, with labels and track coordinate; columns have the unit in their
-        names, as p_m, y_m, y_ref_m."""
+        """Table of what `plot` draws for `panels`, one row per row of `series`, with labels and track coordinate.
+        Columns have the unit in their names, as p_m, y_m, y_ref_m."""
         named = [name for name in ("car", "setting", "scenario", "controller", *self.labels) if name in self.series]
         drawn = [name for panel in plot.chosen(panels) for name in (panel.reference, *panel.columns) if name]
         columns = [metrics.column("front", name) for name in ("p", *drawn)]
@@ -128,8 +128,8 @@ def compare(
         setting (str or list): Conditions for which the controllers were tuned: "paper", exact measurements; "loop",
             sensors with noise and delays, which the runs then have, too.
         car (mapping, optional): Name -> `World`: a changed car, parameters of all `controllers` and sensors, as
-            `replace(world(["ndi"]), vehicle={"body.mass": 3e4})`. It replaces noise_seed and setting, which is only a
-            label then.
+            `replace(world(["ndi"]), vehicle={"body.mass": 3e4})`. With a `World` noise_seed is unused and setting is
+            only a label.
         solver (str): Solver of NMPC: rti, gauss_newton or ipopt.
         noise_seed (int): Random seed of the sensors in the setting "loop".
         stride (int): The series have every n-th control cycle (1 ms).

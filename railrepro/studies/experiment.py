@@ -41,12 +41,12 @@ class Experiment:
         parameters: Tuning parameters by name (data/tuning.toml); None takes the tuned set of `setting`.
         options: Arguments of MPC: {"solver": "rti"}, "gauss_newton" or "ipopt" (NMPC); {"printed": True} (LTV-MPC).
         changes: Changed fields of the controller's settings (`MPCSettings`, `NDI`), as {"steps": 20} or {"pole": 40.0}.
-        vehicle: Changed vehicle parameters, dotted key -> value as in `load_vehicle`, known to car and controllers.
+        vehicle: Changed parameters of the car, known to its controllers, as {"body.mass": 3e4}; keys of `load_vehicle`.
         plant: Changed parameters of the simulated car that its controllers do not know; keys as in `vehicle`.
-        adhesion: Settings of the adhesion law (slip control). None: its defaults; with sensors, whose noise needs
-            slower filters and a larger dead zone, those of [adhesion] in data/sensors.toml.
+        adhesion: Settings of the adhesion law (slip control). None: its defaults; with sensors the settings [adhesion]
+            of data/sensors.toml, because noise needs slower filters and a larger dead zone.
         fixed_share: Fraction of the torque limit reserved for guidance (-); 0 is the paper's allocation.
-        alignment: Alignment of a track in place of that of the scenario; None keeps it.
+        alignment: Alignment of a track, which replaces the track of the scenario; None: no change.
         irregular: Irregular rails: spectrum, seed and local defects, the arguments of `rough_track` besides p, as
             {"spectrum": "en_B_300", "seed": 3, "defects": [{"kind": "dip", …}]}; {} is an ideal track.
         preview: Plan of the set point with known irregularities: arguments of `preview.plan` besides `frame`; {} for

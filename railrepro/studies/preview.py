@@ -9,10 +9,10 @@ from railrepro.data import InputError, above, between, require
 
 
 def known(frame: pd.DataFrame, amplitude_error: float = 0.0, localisation_error_m: float = 0.0) -> pd.DataFrame:
-    """Irregularities as a controller knows them, in a table with the columns of `frame`, which has the true ones.
-    `frame` (from `rough_track`) has evenly spaced p_m (m) and any channels. `amplitude_error` is relative: with 0.1
-    irregularities are known 10 % too large. With `localisation_error_m` (m) a feature at p is known at p + error. What
-    would come from beyond the ends of `frame` is zero."""
+    """Irregularities as a controller knows them, in a table with the columns of `frame`. `frame` has the true ones, as
+    from `rough_track`: evenly spaced p_m (m) and any channels. `amplitude_error` is relative: with 0.1 irregularities
+    are known 10 % too large. With `localisation_error_m` (m) a feature at p is known at p + error. What would come from
+    beyond the ends of `frame` is zero."""
     p, channels = frame["p_m"].to_numpy(), frame.drop(columns="p_m")
     true_p = p - localisation_error_m
     inside = (true_p >= p[0]) & (true_p <= p[-1])
@@ -37,9 +37,9 @@ def plan(
 
     `frame` has the true irregularities (`rough_track`): p_m, lateral_m, gauge_m (m). A `share` of 0 follows the ideal
     line, 1 the middle between the rails. The line is smoothed over `smoothing_m` (m); 0 for none. `limit` is the
-    lateral play of a wheel pair to either side between rails of nominal gauge (m). The other arguments are errors of
-    the controller's knowledge, see `known`. Returns track coordinates p (m), shape (n,), and set point (m) with its
-    first three derivatives (1, 1/m, 1/m^2) at p (cubic spline), shape (4, n).
+    lateral play of a wheel pair to either side between rails of nominal gauge (m). The controller knows irregularities
+    too large by `amplitude_error` (relative, -) and too far ahead by `localisation_error_m` (m). Returns track
+    coordinates p (m), shape (n,), and set point (m) with its three derivatives (-, 1/m, 1/m^2) at p, shape (4, n).
     """
     frame = known(frame, amplitude_error, localisation_error_m)
     require("planned line: share", share, between(0.0, 1.0))

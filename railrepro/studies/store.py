@@ -83,8 +83,8 @@ def machine() -> dict[str, str]:
 
 def folder() -> Path | None:
     """Folder in which results of simulations are stored: that of the environment variable RAILREPRO_STORE, else
-    build/store, or the user's cache where that cannot be written. None, so that nothing is read or stored, if the
-    variable is "off" or no folder can be written. InputError if it is no absolute path."""
+    build/store, or the user's cache where build cannot be written. None, so that nothing is read or stored, if the
+    variable is "off" or no folder can be written. InputError if the variable is no absolute path."""
     given = os.environ.get(FOLDER, "")
     if given == "off":
         return None

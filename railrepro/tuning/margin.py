@@ -67,12 +67,12 @@ def disk_margin(values: np.ndarray) -> float:
 def sensitivity(
     law, speed_kmh: float, sensors: dict | None = None, vehicle: Vehicle | None = None
 ) -> np.ndarray | None:
-    """Measure the sensitivity S = 1 / (1 + L) at the differential torque of the front gear, on straight dry track. It
-    compares a run with the disturbance `multisine` to one without. Returns the complex ratio of torque to disturbance
-    at `FREQUENCIES`, or None when a run fails or the loop is unstable. `law` is a lateral controller as from
-    `registry.guidance`: an object with `torque(q)`, such as `NDI()`, or a factory, which makes a slower controller such
-    as NMPC per gear. `vehicle` is simulated and assumed by it, default data/vehicle.toml. `sensors` are arguments of
-    `sensors.readings`; their noise is equal in both runs and cancels."""
+    """Measure the sensitivity S = 1 / (1 + L) of the loop L, opened at the differential torque of the front gear, on
+    straight dry track. It compares a run with the disturbance `multisine` to one without. Returns the complex ratio of
+    torque to disturbance at `FREQUENCIES`, or None when a run fails or the loop is unstable. `law` is a lateral
+    controller as from `registry.guidance`: an object with `torque(q)`, such as `NDI()`, or a factory, which makes a
+    slower controller such as NMPC per gear. `vehicle` has the parameters of the simulated car, which the controller
+    assumes, too; default data/vehicle.toml. `sensors` are arguments of `sensors.readings`;their noise cancels."""
     end = (WINDOW + SETTLED + 0.1) * speed_kmh / 3.6
     scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=speed_kmh, end_m=end)
     seen = readings(**sensors) if sensors else None

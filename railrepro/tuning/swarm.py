@@ -41,7 +41,7 @@ class Dimension:
         return round(value) if self.scale == "integer" else float(value)
 
     def position(self, value: float) -> float:
-        """Position between the bounds of a parameter value, from 0 (low) to 1 (high); InputError outside of them."""
+        """Position of a parameter value between the bounds, 0 (`low`) to 1 (`high`); InputError for a value outside."""
         if not self.low <= value <= self.high:
             raise InputError(f"dimension {self.name}: start {value!r} is not in {self.low}..{self.high}")
         if self.scale == "log":

@@ -90,8 +90,8 @@ class Margin:
 @data.table
 class RunEntry:
     """Run by which a tuning task judges, as in data/tuning.toml: a scenario by name, and what differs from it. The run
-    ends at the track coordinate `end_m`. `seed` is that of the sensors' noise, `speed_kmh` None keeps the speed of the
-    scenario. `irregular` has arguments of `rough_track`, `plant` changed parameters of the car unknown to its
+    ends at the track coordinate `end_m` (m). `seed` determines the noise of sensors. `speed_kmh` None keeps the speed
+    of the scenario. `irregular` has arguments of `rough_track`, `plant` changed parameters of the car unknown to its
     controllers. `inverter` has errors of the inverters: delay (s), gain (torque over command, -)."""
 
     scenario: str

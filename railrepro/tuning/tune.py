@@ -63,7 +63,7 @@ def fastest_pole(
 ) -> float:
     """Find the largest whole triple pole (rad/s) with which NDI keeps the least disk margin of a task: the rule of
     poles. `controller` is "ndi", "ndi_feedforward" or "ndi_integral", `parameters` are its other tuning parameters. As
-    the margin falls with the pole, it bisects between `bounds`. InputError if the lower one misses the margin."""
+    the margin falls with the pole, it bisects between `bounds`. InputError if the lower bound misses the margin."""
     least, speeds = task.margin["least"], task.margin["speeds_kmh"]
 
     def misses(pole: int) -> bool:
@@ -88,7 +88,8 @@ def by_rule(controller: str, task: Task) -> dict:
 def main(names: list[str]) -> None:
     """Command `tune`: tune controllers (minutes each) and write their parameters to data/tuned, a CONTROLLER.json each,
     and for swarms CONTROLLER_particles.csv, a row per evaluated parameter set. `names` are controllers and settings,
-    "paper" (exact measurements), "loop" (sensors); without one of a kind all are tuned. InputError for others."""
+    "paper" (exact measurements), "loop" (sensors).Without a controller all are tuned, without a setting in both.
+    InputError for others."""
     tasks = {setting: load_task(setting=setting) for setting in SETTINGS}
     known = {name for task in tasks.values() for name in (*task.dimensions, *task.searched)}
     wanted = [name for name in names if name not in SETTINGS]

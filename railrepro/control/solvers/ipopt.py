@@ -56,8 +56,8 @@ def _solver(variant: str, discretisation: str, steps: int) -> ca.Function:
 
 
 def solve(horizon: Horizon) -> int | None:
-    """Solve the problem of a horizon by Ipopt, write the solution into its `x` and `u`, and return the number of
-    iterations. If Ipopt fails or the state is not finite, `x` and `u` stay, and the result is None."""
+    """Solve the problem of a horizon by Ipopt, write the solution into `horizon.x` and `horizon.u`, and return the
+    number of iterations. If Ipopt fails or the state is not finite, both stay as they are, and the result is None."""
     s, steps = horizon.settings, horizon.settings.steps
     x_d, bound = horizon.x_d, horizon.c.bound / UNIT
     initial = (horizon.x_hat - x_d[0]) / SCALE

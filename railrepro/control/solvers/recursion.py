@@ -18,7 +18,8 @@ def _halved(cost: ca.SX, by: ca.SX) -> tuple[ca.SX, ca.SX]:
 @stored
 def recursion(variant: str, discretisation: str) -> tuple[ca.Function, ca.Function, ca.Function]:
     """Make the CasADi functions of the Riccati recursion for the quadratic problem in steps (dx, du) from a trajectory
-    (x, u). `variant` and `discretisation` are as in `MPCSettings`. Arguments of the functions:
+    (x, u). `variant` ("corrected", "printed", errata to keep) and `discretisation` ("euler", "midpoint", "rk4") are
+    those of the prediction model. Arguments of the functions:
 
     - P, p: matrix and vector of the cost-to-go dx' P dx / 2 + p' dx;
     - x_next, x_plus, x_d: next state by the model, next state of the trajectory, desired state;
@@ -26,7 +27,7 @@ def recursion(variant: str, discretisation: str) -> tuple[ca.Function, ca.Functi
     - side: active lateral bound, 1 (upper), -1 (lower) or 0 (none);
     - fixed, to_bound: du is to_bound (N m) if fixed is not 0, else feedback' dx + feed-forward;
     - terms[4]: what stands for the bounds in the interior point method, 0 in the active-set method. They are added to
-      half the second and half the first derivative of the cost by the torque, then to the same by the position y.
+      half the second and half the first derivative of the cost by the torque, half the second and half the first by y.
 
     Returns:
         terminal: (x[6], x_d[6], side, terms, tuning) -> P (6, 6), p[6] of the last stage.

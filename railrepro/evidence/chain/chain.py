@@ -36,9 +36,10 @@ EDITED = "an input was edited while it ran"
 @data.table
 class Notebook:
     """Notebook of the chain, a table [[notebook]] in notebooks/chain.toml. `name` is its file name without ending,
-    `writes` has the paths of its tables, `figures` the names of its figures (figNN_name), `parameters` the values of
-    its parameters cell, and `test_parameters` other values for tests. `minutes` is its run time (min), `memory_gb` the
-    peak memory of its processes (GB, None if not measured), and `seed` the random seed that it uses, if any."""
+    `title` its heading, `writes` has the paths of its tables, `figures` the names of its figures (figNN_name),
+    `parameters` the values of its parameters cell, and `test_parameters` other values for tests. `minutes` is its run
+    time (min), `memory_gb` the peak memory of its processes (GB, None if not measured),`seed` its random seed, if
+    any."""
 
     name: data.Name
     title: str
@@ -146,8 +147,8 @@ def _products(notebook: Notebook) -> dict[str, str]:
 
 def last_run(notebook: Notebook) -> dict[str, dict]:
     """Read the record of a notebook's last successful run in this checkout; {} if there is none. Keys: reads, minutes
-    and memory_gb as in `Ran`; inputs (their state then, see `inputs`); machine (name -> value); products (path of each
-    written file -> SHA-256)."""
+    and memory_gb, the fields of `Ran`; inputs, the dict that `inputs` gave then; machine (name -> value); products
+    (path of each written file -> SHA-256)."""
     with suppress(InputError):
         return data.read(notebook.stamp)
     return {}
@@ -249,9 +250,9 @@ def run(notebook: Notebook, parameters: dict, root: Path) -> Ran:
     """Execute a notebook and move its products below `root`, a folder that is the checkout or has the same layout.
     Returns what it read, its time and memory (`Ran`). `parameters` are values for its parameters cell by name. TOML
     files in root/data replace those of data/. The executed notebook goes to build/notebooks, for another root to
-    root/notebooks; a failed one is NAME.failed.ipynb. InputError when a cell fails, a product was not written, or a
-    product of another notebook was read. Also when a cell prints a sentence about results whose condition is false
-    (`report.sentences`) although notebook, parameters and inputs are as committed."""
+    root/notebooks; a failed one is NAME.failed.ipynb. InputError when a cell fails, a product was not written, a
+    product of another notebook was read, or, with notebook, parameters and inputs as committed, a cell prints a
+    sentence about results whose condition is false (`report.sentences`)."""
     import nbformat
 
     begin = time.monotonic()
@@ -306,10 +307,9 @@ def _fault(notebook: Notebook, taken: Reads, staging: Path, false: list[str]) ->
 
 
 def refresh(notebook: Notebook) -> Ran:
-    """Run a notebook in the checkout, with InputError when `run` raises it. Write to its file `stamp` the files that it
-    read, time and memory (the `Ran` that is returned), hashes of inputs and products. From this record `why_stale`
-    tells whether it must run again; `run` alone records nothing. An input that is edited while it runs leaves it
-    stale."""
+    """Run a notebook in the checkout; InputError if `run` raises it. Write to its file `stamp` the files that it read,
+    time and memory (the `Ran` that is returned), hashes of inputs and products. From this record `why_stale` tells
+    whether it must run again; `run` alone records nothing.If an input is edited meanwhile, it stays stale."""
     begin, before = time.time(), inputs(notebook, {})
     ran = run(notebook, notebook.parameters, paths.ROOT)
     after = inputs(chain()[notebook.name], ran.reads)

@@ -95,8 +95,8 @@ class Page:
 
     def render(self, template: str, **more) -> str:
         """Return the text that a template makes, a file name in data/. It may use the notebooks (`chapters`), the
-        tolerances for products of a rerun against the committed ones (`verify`), captions of figures, and the named
-        values `more`."""
+        tolerances for products of a rerun against the committed ones (`verify`), captions of figures, and the values
+        `more`."""
         chain, captions = (data.read(paths.NOTEBOOKS / name) for name in ("chain.toml", "book/captions.toml"))
         more |= {
             "chapters": chain["notebook"],
