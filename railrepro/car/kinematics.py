@@ -44,7 +44,7 @@ def rotation(axis: str, angle: ca.SX) -> ca.SX:
 
 
 def orientation(yaw: ca.SX, pitch: ca.SX, roll: ca.SX) -> ca.SX:
-    """Return the matrix Rz(yaw) Ry(pitch) Rx(roll), (3, 3)from turned to original frame; angles in rad. Source: eq.
+    """Return the matrix Rz(yaw) Ry(pitch) Rx(roll), (3, 3) from turned to original frame; angles in rad. Source: eq.
     (1)."""
     return rotation("z", yaw) @ rotation("y", pitch) @ rotation("x", roll)
 

@@ -67,9 +67,9 @@ def _call(command: str) -> list[str]:
 
 
 def flags(portable: bool = False) -> tuple[str, ...]:
-    """Return the compiler flags: those in the environment variable `RAILREPRO_CFLAGS`, such as "-O0 -g", else a
-    default, and always "-fPIC -shared -fno-math-errno -w". By default products and sums are not fused, so that all
-    processors round alike. AVX2 is used if the processor has it, but not with `portable`."""
+    """Return the compiler flags: from the environment variable `RAILREPRO_CFLAGS`, such as "-O0 -g", else a default,
+    and always "-fPIC -shared -fno-math-errno -w". By default products and sums are not fused, so that all processors
+    round alike. AVX2 is used if the processor has it, but not with `portable`."""
     wide = " -mavx2" if has_avx2() and not portable else ""
     return (*os.environ.get("RAILREPRO_CFLAGS", f"-O2 -ffp-contract=off{wide}").split(), *_ALWAYS)
 

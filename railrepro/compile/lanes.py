@@ -55,7 +55,7 @@ class Statements:
 
 
 def lanes_header(lanes: int = 4) -> str:
-    """Write the C definitions that a text of `lanes_text` (4 lanes) or `pairs_text` (2)needs before it, after
+    """Write the C definitions that a text of `lanes_text` (4 lanes) or `pairs_text` (2) needs before it, after
     `codegen.source_text`."""
     return f"#define LANES {lanes}\n{Path(__file__).with_name('lanes.h').read_text(encoding='utf-8')}{ELEMENTARY}"
 

@@ -82,9 +82,9 @@ def in_cell(cell: dict, offset) -> dict:
     wheel that hits its flange may leave the row by several widths in a stage of the integrator. There the effective
     radius and the rolling radius continue along their tangents, and all else is constant. So the effective radius
     remains the integral of its slope, and the contact generates no energy. `offset` is the shift minus the shift at the
-    start of the row (m). It and the values are numbers, arrays or symbols. The result is a dict: effective_radius (m),
-    slope (its derivative, the tangent of the contact angle, -), rolling_radius, rail_contact, semi_axis_x, semi_axis_y
-    (m), c11, c22, c23, c33 (-), normal_stiffness (N/m^1.5)."""
+    start of the row (m). `offset` and the values of `cell` are numbers, arrays or symbols. The result is a dict:
+    effective_radius (m), slope (its derivative, the tangent of the contact angle, -), rolling_radius, rail_contact,
+    semi_axis_x, semi_axis_y (m), c11, c22, c23, c33 (-), normal_stiffness (N/m^1.5)."""
     first, square, cube = (cell[f"radius_{name}"] for name in ("slope", "square", "cube"))
     m = elementary(offset)
     inside = m.fmin(m.fmax(offset, -_BEYOND), cell["width"] + _BEYOND)

@@ -104,11 +104,11 @@ class SlowController(Protocol):
     """Lateral controller of one running gear that is sampled once per `period` (s), a multiple of 1 ms. Two further
     methods are optional. `read(readings, delay)` is called before `plan` in a run with sensors. `readings` are lateral
     displacement (m), yaw angle against the track (rad) and yaw rate (rad/s) from the sensors. `delay` is the time from
-    reading to torque (s). `compiled(loop, leader=None)`of a controller in compiled C is called once before a run.
+    reading to torque (s). `compiled(loop, leader=None)` of a controller in compiled C is called once before a run.
     `loop` has errors and delays of sensors and inverters (`Loop`), None for exact states; `leader`, for the rear gear,
-    is the front controller. The two addresses that it returns are those of a C function (memory, states (6,) as in
-    `plan`, readings (3,) as in `read`, base torque (N m)) -> differential torque (N m), and of its memory; with None
-    the run calls `plan`."""
+    is the front controller. The two addresses that it returns are those of a C function (memory, states (6,) of `plan`,
+    readings (3,) of `read`, base torque (N m)) -> differential torque (N m), and of its memory; with None the run calls
+    `plan`."""
 
     period: float
     """Sampling time (s), a multiple of 1 ms, the same for both gears."""

@@ -56,7 +56,7 @@ class SensedGains(LawGains):
 @dataclass(frozen=True)
 class GearMemory:
     """What the 1 kHz law of one running gear keeps from cycle to cycle: base torque `u` (common to both wheels),
-    filters of the adhesion law, states `lateral` of the lateral law(names in `LawSignature.Memory`)."""
+    filters of the adhesion law, states `lateral` of the lateral law (names in `LawSignature.Memory`)."""
 
     u: Annotated[Scalar, "N m", "base torque"]
     adhesion: AdhesionMemory

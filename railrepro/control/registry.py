@@ -59,8 +59,8 @@ def mpc_settings(parameters: dict) -> MPCSettings:
 
 @dataclass(frozen=True)
 class Predictive:
-    """Factory of predictive controllers:called with vehicle, route, gear (0 front, 1 rear), it makes an object of the
-    class `controller`, with the same `settings` for both gears. `options` are more arguments, pairs (name, value)."""
+    """Factory of predictive controllers: called with vehicle, route, gear (0 front, 1 rear), it makes an object of the
+    class `controller` with the same `settings` for both gears. `options` are more arguments, pairs (name, value)."""
 
     controller: type
     settings: MPCSettings
@@ -163,8 +163,8 @@ def read(controller: str, setting: str = PAPER, folder: Path | None = None) -> d
 def tuned_set(controller: str, setting: str = PAPER) -> dict:
     """Tuned parameters of a controller in a setting, "paper" (exact signals) or "loop" (sensors, delays): a dict with
     "controller", "setting" and "parameters" (name -> value; the function `parameters` returns only these). Parameters
-    that a swarm or rule found are read from a file of data/tuned;its other entries, such as "cost", are in the dict,
-    too. Parameters that a person chose are read from data/tuning.toml.InputError without parameters."""
+    that a swarm or rule found are read from a file of data/tuned; its other entries, such as "cost", are in the dict,
+    too. Parameters that a person chose are read from data/tuning.toml. InputError without parameters."""
     require("controller", controller, str)
     require("setting", setting, str)
     if setting not in SETTINGS:

@@ -136,8 +136,9 @@ def entry(controller: str) -> str | Path:
 
 
 def ranked_seeds(of: str | Path) -> tuple[int, ...]:
-    """Seeds for `cases` whose scores rank a controller, as from `entry`: the five `RANKED` for a registered name; for a
-    file five from its SHA-256, so that nobody can tune to them. Any change but of line endings gives other seeds."""
+    """Seeds for `cases` whose scores rank a controller (`of` is a result of `entry`): the five `RANKED` for a
+    registered name; for a file five from its SHA-256, so that nobody can tune to them. Any change but of line endings
+    gives other seeds."""
     if isinstance(of, str):
         return RANKED
     digest = hashlib.sha256(_SALT + of.read_bytes().replace(b"\r\n", b"\n")).digest()
@@ -242,9 +243,10 @@ def _row(run: Run, of: Experiment) -> store.Entry:
 def cost(row: dict) -> float:
     """Cost J >= 0 (-, less is better) of a run that did not fail: error / 1 mm + effort_du / 4 kN m + max(0,
     activity_du / 0.5 kN m - 1) + 2 (1 - utilisation) + 10 max(0, s - 1), s the larger of y_over_q / 0.8 and
-    sum_y_over_limit. `row` from `drive` has these metrics: RMS lateral error; RMS differential torque; its part above 5
-    Hz; used share of the adhesion limit (as 1 if above or missing); largest wheel force ratio Y/Q; largest track
-    shifting force over its limit. inf if J is not finite."""
+    sum_y_over_limit. `row` from `drive` has these metrics: error, RMS lateral error (m); effort_du, RMS differential
+    torque, and activity_du, its part above 5 Hz (N m); utilisation, used share of the adhesion limit (counts as 1 if
+    above or missing); y_over_q, largest wheel force ratio Y/Q; sum_y_over_limit, largest track shifting force over its
+    limit. inf if J is not finite."""
     unused = 1 - min(row["utilisation"], 1.0) if np.isfinite(row.get("utilisation", np.nan)) else 0.0
     unsafe = max(row["y_over_q"] / Y_OVER_Q_LIMIT, row["sum_y_over_limit"])
     value = row["error"] / 1e-3 + row["effort_du"] / 4e3 + max(0.0, row["activity_du"] / 500 - 1)
@@ -308,10 +310,10 @@ def card(table: pd.DataFrame) -> pd.DataFrame:
     """Summarise a table of `score`, whose runs have 0 to 100 points each. Returns a row per seed, controller, setting
     and metric. Columns: scenario (always "all"), controller, metric, value, unit, setting, seed. The setting is "paper"
     (exact measurements), "loop" (sensors), or "all", which has only the metric score, the mean of the scores of "paper"
-    and "loop". Metrics of these two: score, mean points, where the group of runs with more delay or a slower drive
-    counts as one run; margins, mean points in this group; cases, number of runs, where the group counts as one; of the
-    runs outside of the group failures, number of failed runs, and each key of `METRICS`: the largest value of y_over_q,
-    sum_y_over_limit and wheel_unloading, the mean of others."""
+    and "loop". Metrics of "paper" and "loop": score, mean points, where the group of runs with more delay or a slower
+    drive counts as one run; margins, mean points in this group; cases, number of runs, where the group counts as one;
+    of the runs outside of the group failures, number of failed runs, and each key of `METRICS`: the largest value of
+    y_over_q, sum_y_over_limit and wheel_unloading, the mean of others."""
     rows = []
     for (seed, name), draw in table.groupby(["seed", "controller"], sort=False):
         sums = {setting: _sums(part) for setting, part in draw.groupby("setting", sort=False)}

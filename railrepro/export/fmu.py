@@ -103,7 +103,7 @@ class Fmu:
     text: str
     """C source with call.h, generated functions and `numbers_text`. It defines the type fmu_t; macros FMU_INPUTS,
     FMU_OUTPUTS, FMU_PARAMETERS, which name its arrays; FMU_COUNT(u), the value of `counter`, 0 for none; and, for a
-    pointer u to an fmu_t, reset(u) to the start values, begin(u) with the present parameters,advance(u, ms)."""
+    pointer u to an fmu_t, reset(u) to the start values, begin(u) with the present parameters, advance(u, ms)."""
     counter: tuple[str, ...] = ()
 
     def write(self, path: Path | str, platforms: Sequence[str] | None = None) -> Path:

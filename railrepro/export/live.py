@@ -72,7 +72,7 @@ def content() -> dict:
     - "ranges": key of a value that the page may change -> fields of its `railrepro.data.Quantity`;
     - "car": its "module", "parameters" (list of dicts: name, value, unit, low, high), names of its "outputs", as
       "front.y", and of those "measured" by controllers;
-    - "controllers": name -> "label", "module", "parameters" (as of the car);
+    - "controllers": name -> "label", "module", "parameters" (dicts with the keys of the car's);
     - "figures": scenario -> "title", "cells", "speed_kmh" (at first), "stop_kmh" (at its end, or None),
       "set_point" (dict of kind, amplitude_mm, period_m, …: fields of `scenarios.Sine`, `Sweep`), "end" (m), "stride"
       (ms between rows of a curve), "force" (kN, largest demand), "committed": controller -> curves "y", "p" (m),
@@ -114,7 +114,7 @@ def _experiment(scenario: Scenario) -> dict:
 
 def page(embedded: dict) -> str:
     """HTML text of the live page, on which a reader simulates car and controllers in a browser with parameters of their
-    own. `embedded` is the dict of `content`: the compiled car and controllers, routes, and curves to compare with.The
+    own. `embedded` is the dict of `content`: the compiled car and controllers, routes, and curves to compare with. The
     page contains it as JSON. Its security policy permits only its own scripts and styles, by their hashes, no
     network."""
     text, notice = data.text(_HERE / "page.html"), codegen.ELEMENTARY.partition("*/")[0].removeprefix("/* ")

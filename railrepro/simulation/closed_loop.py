@@ -76,8 +76,8 @@ class ClosedLoop:
 
     def run(self, n: int) -> np.ndarray:
         """Advance by n control cycles of 1 ms, or fewer if a limit of `margins` is reached. Returns an array with a row
-        per cycle and the columns `columns` (SI): outputs of the car and what the law answers to them, before the car
-        advances. If a limit ends the run, the last row is at the limit, with the answer of the law."""
+        per cycle and the columns `columns` (SI): outputs of the car, and signals of the law for these outputs, before
+        the car advances. If a limit ends the run, the last row is at the limit, with the answer of the law."""
         require("n", n, between(0, math.inf), whole=True)
         self.car.c.period = CONTROL_PERIOD / self.car.c.substeps  # `SteppedCar.step` may have had another one
         blocks, block = [np.empty((0, len(self.columns)))], 1

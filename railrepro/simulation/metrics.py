@@ -104,7 +104,7 @@ def on_flange(series: pd.DataFrame) -> np.ndarray:
 
 
 def reaches_flange(series: pd.DataFrame) -> bool:
-    """Find out whether a wheel touches its rail with the flange in any row of a run; columns as in `on_flange`."""
+    """Find out whether a wheel touches its rail with the flange in any row of a run, whose table is `series`."""
     return bool(on_flange(series).any())
 
 

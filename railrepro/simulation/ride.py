@@ -2,7 +2,7 @@
 Arguments without another shape are arrays of shape (n,) over a run (SI): `p` is the track coordinate (m). `rate` is the
 sampling rate (Hz). The sources say whether a number was *read* in a public document that quotes the standard, or
 *recalled* from the standard, which was not at hand. Forces are low-passed forwards and backwards, so that peaks keep
-their position on the track.Comfort weightings run forwards only: the standards define one transfer function."""
+their position on the track. Comfort weightings run forwards only: the standards define one transfer function."""
 
 import numpy as np
 import pandas as pd

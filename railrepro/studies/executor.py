@@ -44,7 +44,7 @@ def workers() -> int:
 
 @contextmanager
 def executor() -> Iterator[futures.Executor]:
-    """Context manager of the processes that compute simulations: those of the Dask scheduler at the address in the
+    """Context manager of the processes that compute simulations: processes of the Dask scheduler at the address in the
     environment variable RAILREPRO_DASK, or else local ones (`workers`). Local ones stay for the next study; an
     exception (also Ctrl-C) ends them. InputError if no scheduler answers, or the package distributed is missing."""
     if address := os.environ.get("RAILREPRO_DASK"):

@@ -42,7 +42,7 @@ class Experiment:
         options: Arguments of MPC: {"solver": "rti"}, "gauss_newton" or "ipopt" (NMPC); {"printed": True} (LTV-MPC).
         changes: Changed fields of the controller's settings (`MPCSettings`, `NDI`), as {"steps": 20} or {"pole": 40.0}.
         vehicle: Changed parameters of the car, known to its controllers, as {"body.mass": 3e4}; keys of `load_vehicle`.
-        plant: Changed parameters of the simulated car that its controllers do not know; keys as in `vehicle`.
+        plant: Changed parameters of the simulated car, unknown to its controllers, with the keys of `vehicle`.
         adhesion: Settings of the adhesion law (slip control). None: its defaults; with sensors the settings [adhesion]
             of data/sensors.toml, because noise needs slower filters and a larger dead zone.
         fixed_share: Fraction of the torque limit reserved for guidance (-); 0 is the paper's allocation.
@@ -87,7 +87,7 @@ class Experiment:
         return load_vehicle(**self.vehicle | self.plant)
 
     def tuned(self) -> dict:
-        """Tuning parameters of the controller by name: `parameters`, or those of its tuned set."""
+        """Tuning parameters of the controller by name: `parameters`, or the parameters of its tuned set."""
         return registry.parameters(self.controller, self.setting) if self.parameters is None else self.parameters
 
     def run(self) -> simulate.Run:
@@ -127,8 +127,8 @@ class Experiment:
 
     def measured(self, measure: "Measure") -> store.Entry:
         """Return `measure(run, experiment)` for this run, read from the store or simulated by `executor.work`.
-        `measure` is a function of a module, which must not use the `label`. It returns a pair: a dict of plain values,
-        and a DataFrame of numbers or None."""
+        `measure` is a function of a module, which must not use the `label`. `measure` returns a pair: a dict of plain
+        values, and a DataFrame of numbers or None."""
         return store.entry(self.key(measure), lambda: work(_measured, self, measure))
 
     def __call__(self) -> tuple[dict, pd.DataFrame | None]:

@@ -38,7 +38,7 @@ def run_cost(parts: dict, cost: dict) -> float:
     """Cost of a run (-), lower is better, from its metrics `parts` (dict of `driven`) and the table `cost` of
     data/tuning.toml: 1e3 rmse_y / y_scale_mm + weight effort_du / du_scale_Nm + activity_weight max(activity_du /
     activity_Nm - 1, 0), or failure (2 - done) for a failed run. rmse_y is the lateral error (m), effort_du the RMS of
-    the differential torque, activity_du above 5 Hz (N m),done the fraction driven; other names are in `cost`."""
+    the differential torque, activity_du above 5 Hz (N m), done the fraction driven; other names are in `cost`."""
     if parts["failed"]:
         return cost["failure"] * (2 - parts["done"])
     beyond = max(parts["activity_du"] / cost["activity_Nm"] - 1, 0.0)

@@ -72,7 +72,7 @@ def sensitivity(
     torque to disturbance at `FREQUENCIES`, or None when a run fails or the loop is unstable. `law` is a lateral
     controller as from `registry.guidance`: an object with `torque(q)`, such as `NDI()`, or a factory, which makes a
     slower controller such as NMPC per gear. `vehicle` has the parameters of the simulated car, which the controller
-    assumes, too; default data/vehicle.toml. `sensors` are arguments of `sensors.readings`;their noise cancels."""
+    assumes, too; default data/vehicle.toml. `sensors` are arguments of `sensors.readings`; their noise cancels."""
     end = (WINDOW + SETTLED + 0.1) * speed_kmh / 3.6
     scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=speed_kmh, end_m=end)
     seen = readings(**sensors) if sensors else None

@@ -88,8 +88,8 @@ def by_rule(controller: str, task: Task) -> dict:
 def main(names: list[str]) -> None:
     """Command `tune`: tune controllers (minutes each) and write their parameters to data/tuned, a CONTROLLER.json each,
     and for swarms CONTROLLER_particles.csv, a row per evaluated parameter set. `names` are controllers and settings,
-    "paper" (exact measurements), "loop" (sensors).Without a controller all are tuned, without a setting in both.
-    InputError for others."""
+    "paper" (exact measurements), "loop" (sensors). Without a controller all are tuned, without a setting in both.
+    InputError for another name."""
     tasks = {setting: load_task(setting=setting) for setting in SETTINGS}
     known = {name for task in tasks.values() for name in (*task.dimensions, *task.searched)}
     wanted = [name for name in names if name not in SETTINGS]

@@ -38,7 +38,7 @@ class Notebook:
     """Notebook of the chain, a table [[notebook]] in notebooks/chain.toml. `name` is its file name without ending,
     `title` its heading, `writes` has the paths of its tables, `figures` the names of its figures (figNN_name),
     `parameters` the values of its parameters cell, and `test_parameters` other values for tests. `minutes` is its run
-    time (min), `memory_gb` the peak memory of its processes (GB, None if not measured),`seed` its random seed, if
+    time (min), `memory_gb` the peak memory of its processes (GB, None if not measured), `seed` its random seed, if
     any."""
 
     name: data.Name
@@ -307,9 +307,9 @@ def _fault(notebook: Notebook, taken: Reads, staging: Path, false: list[str]) ->
 
 
 def refresh(notebook: Notebook) -> Ran:
-    """Run a notebook in the checkout; InputError if `run` raises it. Write to its file `stamp` the files that it read,
-    time and memory (the `Ran` that is returned), hashes of inputs and products. From this record `why_stale` tells
-    whether it must run again; `run` alone records nothing.If an input is edited meanwhile, it stays stale."""
+    """Run a notebook in the checkout (InputError as from `run`). Write to its file `stamp` the files that it read, time
+    and memory (the `Ran` that is returned), hashes of inputs and products. From this record `why_stale` tells whether
+    it must run again; `run` alone records nothing. If an input is edited meanwhile, the notebook stays stale."""
     begin, before = time.time(), inputs(notebook, {})
     ran = run(notebook, notebook.parameters, paths.ROOT)
     after = inputs(chain()[notebook.name], ran.reads)

@@ -129,8 +129,8 @@ def main() -> None:
     paper_like_undone.csv has these rows for each fitted parameter (column choice) alone back at its nominal value;
     paper_like_conflicts.csv for each factor on the weight R of NMPC (column r_factor, 0.5 to 8).
     paper_like_perturbed.csv has a row per random change of all fitted parameters: size (largest relative change), draw
-    (seed), holds (number of statements that hold), falls(ids of statements that hold with the fitted values but not
-    then)."""
+    (seed), holds (number of statements that hold), falls (ids of the statements that hold with the fitted values, but
+    not with the changed ones)."""
     choices = load()
     moves = [(size, draw) for size in SIZES for draw in range(DRAWS)]
     cases = [_values(choices), *(perturbed(choices, size, draw) for size, draw in moves)]
