@@ -185,8 +185,7 @@ class SteppedCar:
         """Integrate the car over `steps` steps of the length `period` (s), above 0 up to 0.01, with constant `torque`
         commands (N m), shape (4,), by default the attribute `torque`. When |y| of a running gear first reaches 30 mm
         (derailment), a warning is issued and the simulation goes on. ArithmeticError if a state is not finite or
-        reaches 1e7 (SI); `state` then holds the values before that step. InputError for an argument of wrong type or
-        range."""
+        reaches 1e7 (SI); `state` then holds the values before that step. InputError for a wrong argument."""
         require("steps", steps, between(0, np.inf), whole=True)
         require("period", period, above(0.0, 10 * CONTROL_PERIOD, "s"))
         if torque is not None:

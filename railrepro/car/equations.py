@@ -83,7 +83,7 @@ HOLDING_SPEED = 0.2
 
 def mirrored() -> dict[str, list[int]]:
     """Return how the inputs of the functions of `Car` change when front and rear running gear are exchanged, so that
-    compiled code can compute both at once (`pairs_text`). Inputs "x", "u", "rows", "contacts" each have a list. Its
+    compiled code computes both at once (`pairs_text`). Inputs "x", "u", "rows", "contacts" each have a list. Its
     element i is the index of the same quantity at the other running gear, or i for the car body. Matrices count by
     columns."""
     at, wheels = unpack(CarState, range(len(STATES))), [2, 3, 0, 1]

@@ -66,8 +66,8 @@ class Contact:
     `stages` puts symbols in place of motion and forces, so that the Jacobian of the car is cheap.
 
     Attributes:
-        sliding, creepage (pair of SX): Sliding speed along and across the rail (m/s), over the running speed (-).
-        spin_rate, spin (SX): Angular speed about the contact normal (rad/s), over the running speed (1/m).
+        sliding, creepage (pair of SX): Sliding speeds along and across the rail (m/s); both over the running speed (-).
+        spin_rate, spin (SX): Angular speed about the contact normal (rad/s); spin_rate over the running speed (1/m).
         force (SX, shape (3, 1)): Force on the wheel in track-frame components (N).
         moment (SX, shape (3, 1)): Moment on the carrier about its centre of gravity, in carrier axes (N m).
         normal, spin_moment (SX): Normal force (N), moment about the contact normal (N m).

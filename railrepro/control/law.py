@@ -66,8 +66,7 @@ class GearMemory:
 @dataclass(frozen=True)
 class SensedGearMemory(GearMemory):
     """`GearMemory` of a run with sensors. It also has `sensor`, readings and torque commands that a delay still holds
-    back; `filter`, state of the filter that estimates states; `estimated`, its last estimates; `read`, last
-    readings."""
+    back; `filter`, state of the filter that estimates states; `estimated` and `read`, last estimates and readings."""
 
     sensor: SensorMemory
     filter: observers.FilterState

@@ -77,9 +77,9 @@ class PredictiveController:
         return Problem(self.settings, x_hat, u_d, self.horizon.forecast(x_hat, u_d), self.parameters, limit)
 
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
-        """Solve one sample and return the differential torque (N m) to hold until the next. `x_hat` (6,) is the
+        """Solve one sample and return the differential torque (N m) to hold until the next sample. `x_hat` (6,) is the
         measured state (SI) in the order of `control_model.STATES`, `u_d` the base torque per wheel (N m). InputError
-        unless finite."""
+        unless they are finite."""
         begin = time.thread_time()
         self._measured[:], u_d = self._checked(x_hat, u_d)
         torque = self._torque(ctypes.c_void_p(self._measured.ctypes.data), ctypes.c_double(u_d))

@@ -137,8 +137,8 @@ def entry(controller: str) -> str | Path:
 
 def ranked_seeds(of: str | Path) -> tuple[int, ...]:
     """Seeds for `cases` whose scores rank a controller (`of` is a result of `entry`): the five `RANKED` for a
-    registered name; for a file five from its SHA-256, so that nobody can tune to them. Any change but of line endings
-    gives other seeds."""
+    registered name; for a file five from its SHA-256, so that nobody can tune to them (any change except of line
+    endings gives other seeds)."""
     if isinstance(of, str):
         return RANKED
     digest = hashlib.sha256(_SALT + of.read_bytes().replace(b"\r\n", b"\n")).digest()
@@ -339,9 +339,9 @@ def ranking(cards: pd.DataFrame) -> pd.DataFrame:
     """Rank controllers by their `card` tables, one below the other: one row per controller (index), the best first.
     Values are means over seeds, without the seed 1001, which is published for development: controllers may be tuned on
     it. Columns: "paper" and "loop", points (0 to 100) with exact measurements and with sensors; "ranked", the mean of
-    both; "spread", standard deviation of ranked over the seeds; "margins", points in runs with more delay or lag; "runs
-    failed" per seed, in both; with sensors, RMS lateral error, its lower bound and RMS differential torque, "error
-    (mm), loop", "limit (mm), loop", "torque (N m), loop"."""
+    both; "spread", standard deviation of ranked over the seeds; "margins", points in runs with more delay or a slower
+    drive; "runs failed", number of failed runs per seed; with sensors, RMS lateral error, its lower bound and RMS
+    differential torque, "error (mm), loop", "limit (mm), loop", "torque (N m), loop"."""
     cards = cards[cards["seed"] != PUBLISHED]
     totals = cards[(cards["setting"] == ALL) & (cards["metric"] == "score")].groupby("controller")["value"]
     mean = cards.pivot_table(index="controller", columns=["metric", "setting"], values="value")

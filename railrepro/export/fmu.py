@@ -93,7 +93,8 @@ def constant(name: str, values: np.ndarray) -> str:
 @dataclass(frozen=True)
 class Fmu:
     """Content of the FMU of a car or a controller: outputs, inputs and parameters in the order of the C arrays; `text`,
-    the C source; `counter`, name of an integer output that counts events, as ("fallbacks",), () for none."""
+    C source with the functions reset, begin and advance; `counter`, name of an integer output that counts events, as
+    ("fallbacks",), () for none."""
 
     name: str
     description: str

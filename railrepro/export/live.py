@@ -115,7 +115,7 @@ def _experiment(scenario: Scenario) -> dict:
 def page(embedded: dict) -> str:
     """HTML text of the live page, on which a reader simulates car and controllers in a browser with parameters of their
     own. `embedded` is the dict of `content`: the compiled car and controllers, routes, and curves to compare with. The
-    page contains it as JSON. Its security policy permits only its own scripts and styles, by their hashes, no
+    page contains it as JSON. Its security policy permits only its own scripts and styles, by their hashes, and no
     network."""
     text, notice = data.text(_HERE / "page.html"), codegen.ELEMENTARY.partition("*/")[0].removeprefix("/* ")
     for name in ("uPlot.min.css", "page.css", "uPlot.iife.min.js", "car.mjs", "page.js"):

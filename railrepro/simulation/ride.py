@@ -37,7 +37,7 @@ def ride_summary(series: pd.DataFrame, vehicle: Vehicle) -> dict[str, tuple[floa
     - y_over_q (-): largest mean over 2 m of Y/Q, lateral over vertical force, of all wheels. InputError for a shorter
       run.
     - wheel_unloading (-): largest loss of wheel load over the load at rest, dQ/Q0, of all wheels.
-    - flange_contacts (1/km): sum over the wheels.
+    - flange_contacts (1/km): number of flange contacts per distance, sum over the wheels.
     - t_gamma, creep_work (N): energy lost to creep per metre, mean of the wheels, without and with spin (`creep_work`).
     - n_mv_floor_front, n_mv_floor_centre, n_mv_floor_rear (-): mean comfort N_MV at points of the floor
       (`mean_comfort`).

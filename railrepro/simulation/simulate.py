@@ -39,7 +39,7 @@ class Run:
         series (DataFrame): One row per ms: t_s (s), then signals of car and control law (SI): front.p (track
             coordinate), front.y (displacement), front.y_ref (set point), front.du (differential torque), front_le.N
             (wheel load), …
-        ended, failed (str, bool): Why the run ended; whether by derailment or by a number that is not finite.
+        ended, failed (str, bool): Why the run ended; True if by derailment or by a number that is not finite.
         warnings (tuple of str): Sentences that say where the run first left the range in which a model is valid.
         controllers (tuple): Slower lateral controllers of both gears, such as MPC, whose attribute `fallbacks` counts
             samples without solution; () for a 1 kHz law.

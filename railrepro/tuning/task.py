@@ -80,8 +80,8 @@ class Cost:
 
 @data.table
 class Margin:
-    """Stability that every tuned parameter set keeps: `least` is the lowest disk margin (-), the tolerated change of
-    gain and phase of the loop, at each of `speeds_kmh`, which are measured in this order."""
+    """Stability that every tuned parameter set keeps: `least` is the lowest disk margin (-), which measures how far
+    gain and phase of the loop may change, at each of `speeds_kmh`, which are measured in this order."""
 
     least: Annotated[Number, between(0.0, 2.0)]
     speeds_kmh: tuple[Annotated[Number, between(10.0, 500.0, "km/h")], ...]

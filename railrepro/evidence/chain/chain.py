@@ -38,8 +38,8 @@ class Notebook:
     """Notebook of the chain, a table [[notebook]] in notebooks/chain.toml. `name` is its file name without ending,
     `title` its heading, `writes` has the paths of its tables, `figures` the names of its figures (figNN_name),
     `parameters` the values of its parameters cell, and `test_parameters` other values for tests. `minutes` is its run
-    time (min), `memory_gb` the peak memory of its processes (GB, None if not measured), `seed` its random seed, if
-    any."""
+    time (min), `memory_gb` the peak memory of its processes (GB, None if not measured), `seed` its random seed or
+    None."""
 
     name: data.Name
     title: str
@@ -115,9 +115,9 @@ def _content(file: str) -> bytes:
 
 
 def inputs(notebook: Notebook, taken: Reads) -> dict[str, str]:
-    """Hash or version of all that the results of a notebook depend on, except the machine, as it is now: name -> text.
-    These are its cells, its parameters, files that it read, packages, and modules of railrepro that it can import.
-    `taken` are the files that its last run read, with the names of tables read from them (`Ran.reads`)."""
+    """Present hash or version of all that the results of a notebook depend on, except the machine: name -> text. These
+    are its cells, its parameters, files that it read, packages, and modules of railrepro that it can import. `taken`
+    are the files that its last run read, with the names of tables read from them (`Ran.reads`)."""
     cells = data.read(notebook.path)["cells"]
     state = {"its cells": _hash(json.dumps(["".join(cell["source"]) for cell in cells]).encode())}
     state["its parameters"] = _hash(json.dumps(notebook.parameters, sort_keys=True).encode())
@@ -323,9 +323,9 @@ def refresh(notebook: Notebook) -> Ran:
 
 
 def figures(names: Sequence[str] = ()) -> int:
-    """Command `figures`: run those notebooks among `names` that are stale, in parallel (up to four, one per core). A
-    name is that of a notebook, its beginning, as "06", that of a figure, or its number, as "fig0601"; default all
-    notebooks. InputError for a name that nothing has. Returns 1 when a notebook failed, else 0."""
+    """Command `figures`: run those notebooks among `names` that are stale, in parallel (up to four, one per core). Each
+    name is the name of a notebook or its beginning, as "06", or the name of a figure or its number, as "fig0601";
+    default all. InputError for a name that nothing has. Returns 1 when a notebook failed, else 0."""
     notebooks = chain()
     wanted = set() if names else set(notebooks)
     for name in names:

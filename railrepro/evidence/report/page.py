@@ -94,7 +94,7 @@ class Page:
         return "## ".join(_linked_once(section) for section in text.split("## "))
 
     def render(self, template: str, **more) -> str:
-        """Return the text that a template makes, a file name in data/. It may use the notebooks (`chapters`), the
+        """Return the text made from a template, a file name in data/. It may use the notebooks (`chapters`), the
         tolerances for products of a rerun against the committed ones (`verify`), captions of figures, and the values
         `more`."""
         chain, captions = (data.read(paths.NOTEBOOKS / name) for name in ("chain.toml", "book/captions.toml"))
