@@ -298,8 +298,8 @@ def _energies(elements: _Elements, par: CarParameters) -> list[ca.SX]:
 
 def rest(table: ContactTable) -> ca.Function:
     """Make the CasADi function (parameters, speed (m/s)) -> initial state: steady rolling on straight level track,
-    wheels centred, front running gear at 0 m. Parameters have the order of `PARAMETERS`, states that of `STATES` (SI).
-    Rolling radius and approach of the wheels are from the table. Source: Johnson 1985, Contact Mechanics, sec. 4.2."""
+    wheels centred, front running gear at 0 m. Parameters have the order of `PARAMETERS`, states the order of `STATES`
+    (SI). Rolling radius and approach are from the table. Source: Johnson 1985, Contact Mechanics, sec. 4.2."""
     return _rest(tuple(table.cells()[table.frame["shift_m"].abs().argmin()].tolist()))
 
 

@@ -44,8 +44,8 @@ def rotation(axis: str, angle: ca.SX) -> ca.SX:
 
 
 def orientation(yaw: ca.SX, pitch: ca.SX, roll: ca.SX) -> ca.SX:
-    """Return the matrix Rz(yaw) Ry(pitch) Rx(roll), (3, 3) from turned to original frame; angles in rad. Source: eq.
-    (1)."""
+    """Return the matrix Rz(yaw) Ry(pitch) Rx(roll), shape (3, 3), of angles in rad: from turned to original frame.
+    Source: eq. (1)."""
     return rotation("z", yaw) @ rotation("y", pitch) @ rotation("x", roll)
 
 

@@ -76,7 +76,7 @@ def rail_head(lateral) -> np.ndarray:
 
 
 def inclined_rail() -> tuple[np.ndarray, np.ndarray]:
-    """Cross-section of the right 60E1 rail, inclined 1:40, with its gauge face at half the gauge: distances from the
+    """Cross-section of the right rail 60E1, inclined 1:40, with its gauge face at half the gauge: distances from the
     track centre, increasing, and depths below the highest point of the rail (m), each of shape (20001,)."""
     y = np.linspace(-36.0, 36.0, 20_001) * MM
     z = rail_head(y)

@@ -20,8 +20,8 @@ class MeasuredWheel:
 
 @dataclass(frozen=True)
 class Measured:
-    """What the control law measures of the car: the state of both running gears; adhesion, slip and speed of the
-    wheels. An exported controller refuses values out of range, and a track coordinate `p` that is not on its route."""
+    """What the control law measures of the car: the state of both running gears; adhesion, slip and speed of each
+    wheel. An exported controller refuses values out of range, and a track coordinate `p` that is not on its route."""
 
     front: GearStates
     rear: GearStates

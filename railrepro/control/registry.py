@@ -164,7 +164,8 @@ def tuned_set(controller: str, setting: str = PAPER) -> dict:
     """Tuned parameters of a controller in a setting, "paper" (exact signals) or "loop" (sensors, delays): a dict with
     "controller", "setting" and "parameters" (name -> value; the function `parameters` returns only these). Parameters
     that a swarm or rule found are read from a file of data/tuned; its other entries, such as "cost", are in the dict,
-    too. Parameters that a person chose are read from data/tuning.toml. InputError without parameters."""
+    too. Parameters that a person chose are read from data/tuning.toml. InputError for an unknown setting or without
+    parameters."""
     require("controller", controller, str)
     require("setting", setting, str)
     if setting not in SETTINGS:

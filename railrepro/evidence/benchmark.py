@@ -179,10 +179,10 @@ def known_route(route: Route) -> Route:
 
 
 def drive(of: str | Path | type, case: Experiment) -> dict:
-    """Simulate a run of `cases` and return its row, a dict. `of` is a key of `registry.CONTROLLERS`, a class, or a
-    file, which runs in another process. The row has the labels of the run, controller (name), failure (one sentence, ""
-    for a good run) and metrics (SI). Of the front gear: error, RMS of y - y* (with sensors y is from the irregular
-    rails); effort_du, RMS differential torque; activity_du, its part above 5 Hz; utilisation of the adhesion limit;
+    """Simulate a run of `cases` and return its row, a dict. `of` is a key of `registry.CONTROLLERS`, a class, or the
+    path of a Python file. The row has the labels of the run, controller (name), failure (one sentence, "" for a good
+    run) and metrics (SI). Of the front gear: error, RMS of y - y* (with sensors y is from the irregular rails);
+    effort_du, RMS differential torque; activity_du, its part above 5 Hz; utilisation of the adhesion limit;
     stopping_distance. Of all wheels: y_over_q, largest wheel force ratio Y/Q; sum_y_over_limit, largest track shifting
     force over its limit; wheel_unloading. comfort: index N_MV, less is better. A run whose controller raises an error
     has no metrics. InputError when a file ended its process or took longer than 600 s, if the run is started by

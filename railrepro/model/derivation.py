@@ -61,8 +61,9 @@ def wheel_rotation(spin: sp.Expr) -> sp.Matrix:
 
 
 def kinetic_energy(discrepancies: frozenset[str]) -> sp.Expr:
-    """Kinetic energy (J) in terms of all `rates`. `discrepancies` names the printed errors that stay uncorrected; here
-    only "D2" acts: the wheels have the energy of the sum of their angular velocities. Source: eq. (13a)."""
+    """Kinetic energy (J) of a running gear and half the car body as a function of all `rates`. `discrepancies` names
+    the printed errors that stay uncorrected; here only "D2" acts: the wheels have the energy of the sum of their
+    angular velocities. Source: eq. (13a)."""
     height_rate = sp.diff(height, psi) * (psid - kappa * xd) + sp.diff(height, y) * yd
     inertia = sp.diag(J_Wz, J_Wy, J_Wz)
     w_ri, w_le = wheel_rotation(thd_ri), wheel_rotation(thd_le)

@@ -82,9 +82,9 @@ def _cycle(vehicle: Vehicle) -> ca.Function:
 
 def simulate(vehicle: Vehicle, cases: Sequence[Case], speed, demand) -> Traces:
     """Simulate single driven wheels under the 1 kHz adhesion law (slip control), from free rolling with zero torque.
-    Returns adhesion, slip, torque, speed and the active segment of the law over time. A wheel of `vehicle` with the
-    load Q accelerates the mass Q/g. `cases` has the law and the rail of each wheel, `speed` the initial running speeds
-    (m/s), one number or shape (wheels,). `demand` is the set point of the adhesion f_x (force over load,
+    Returns `Traces`: adhesion, slip, torque, speed and the active segment of the law over time. A wheel of `vehicle`
+    with the load Q accelerates the mass Q/g. `cases` has the law and the rail of each wheel, `speed` the initial
+    running speeds (m/s), one number or shape (wheels,). `demand` is the set point of the adhesion f_x (force over load,
     traction-positive), a value per ms: shape (ms,) or (ms, wheels)."""
     demand = np.asarray(demand, dtype=float).reshape(len(demand), -1)
     call = codegen.CompiledFunction(_cycle(vehicle).map("bare_wheels", "serial", len(cases), [], []))

@@ -145,10 +145,10 @@ class Experiment:
         (followed_rmse_y), of y from these rails (rail_rmse_y), of the differential torque du (effort_du) and of du
         above 5 Hz (activity_du); largest |y - y*| (largest_error), mean of y - y* in the last third
         (mean_error_last_third), distance by which y trails y* (delay). Further: largest_slip of all wheels (-);
-        stopping_distance (m), the distance driven; with a force demand, utilisation of the adhesion (-); failed (bool);
-        failed_at_m (NaN unless failed); ended, why the run ended (text); warnings (text); fallbacks, number of samples
-        of both gears in which a predictive controller found no solution; with `ride`, forces and comfort from
-        `ride.ride_summary`, as y_over_q."""
+        stopping_distance (m), the distance driven; with a force demand, utilisation, mean adhesion over its limit (-);
+        failed (bool); failed_at_m, where it failed (m; NaN unless failed); ended, why the run ended (text); warnings
+        (text); fallbacks, number of samples of both gears in which a predictive controller found no solution; with
+        `ride`, forces and comfort from `ride.ride_summary`, as y_over_q."""
         vehicle, series = self._surroundings().car, run.series
         values = metrics.summary(series)
         if run.failed:

@@ -70,8 +70,8 @@ def digest(*parts) -> str:
 
 @lru_cache(maxsize=1)
 def machine() -> dict[str, str]:
-    """Return all that decides the last digits of results, a dict: name -> text. Entries: environment variables,
-    compiler, Python, processor, packages."""
+    """Return what decides the last digits of results, a dict: name -> text. Entries: environment variables, compiler,
+    Python, processor, packages."""
     return {
         **{f"environment {name}": os.environ.get(name, "") for name in _NUMERICS},
         "the compiler": cache.identity(cache.compiler(), cache.flags()),

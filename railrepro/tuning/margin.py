@@ -101,10 +101,10 @@ def sensitivity(
 def peaks(
     controller: str, parameters: dict, speed_kmh: float, sensed: bool = False, vehicle: Vehicle | None = None
 ) -> dict:
-    """Measure, or read from the store, the largest sensitivity of a controller with tuning `parameters` at a speed.
-    Returns a dict: peak_sensitivity (max |S|) and disk_margin (-); inf and 0 if the loop is unstable or a run fails.
-    `controller` is a key of `registry.CONTROLLERS`, `sensed` says whether it has sensors, `vehicle` is the car, default
-    data/vehicle.toml."""
+    """Measure, or read from the store, the largest sensitivity of a controller with tuning `parameters` at a speed
+    (km/h). Returns a dict: peak_sensitivity (max |S|) and disk_margin (-); inf and 0 if the loop is unstable or a run
+    fails. `controller` is a key of `registry.CONTROLLERS`, `sensed` says whether it has sensors, `vehicle` is the car,
+    default data/vehicle.toml."""
     read = parameters, CONTROLLERS[controller].quick, speed_kmh, load_loop() if sensed else None
     key = store.key(__name__, "peaks", controller.removesuffix("_swarm"), *read, vehicle or load_vehicle())
     return store.entry(key, lambda: work(_peaks, controller, parameters, speed_kmh, sensed, vehicle))[0]

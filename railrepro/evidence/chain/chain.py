@@ -83,7 +83,7 @@ class Ran(NamedTuple):
 
 @data.table
 class Chain:
-    """Content of notebooks/chain.toml: all notebooks in order, and tolerances for the comparison of two runs."""
+    """Content of notebooks/chain.toml: notebooks in order, and tolerances for comparing two runs (`verify`)."""
 
     notebook: tuple[Notebook, ...] = ()
     verify: compare.Tolerance = compare.Tolerance()

@@ -98,8 +98,9 @@ def judged(world: ProbeSetup, parts: Iterable[str] = PARTS) -> pd.DataFrame:
 
 
 def perturbed(choices: Mapping[str, Choice], size: float, draw: int) -> dict[str, Any]:
-    """Change fitted parameters (`choices`) at random; returns name -> value. Numbers other than nominal are multiplied
-    by 1 + `size` u, u uniform in [-1, 1] from the seed `draw`, others kept; k_a and k_s of poor rail stay at most 1."""
+    """Change fitted parameters (`choices`) at random; returns name -> value. Fitted numbers that differ from their
+    nominal value are multiplied by 1 + `size` u, u uniform in [-1, 1] from the seed `draw`. Other values stay; k_a and
+    k_s of poor rail stay at most 1."""
     rng, values = np.random.default_rng([SEED, draw]), _values(choices)
     for name, choice in choices.items():
         if data.is_number(choice.value) and choice.value != choice.nominal:
