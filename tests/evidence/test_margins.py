@@ -33,6 +33,12 @@ def test_sensitivity_is_that_of_the_loop_with_the_linear_car():
     assert np.abs(found - 1).max() > 0.3
 
 
+def test_a_narrow_resonance_between_two_coarse_frequencies_is_seen():
+    """Poles that a swarm once found: with lines at 5 and 6 Hz and none between, their margin seemed to be 0.65."""
+    hidden = {"pole": 150.0, "frequency": 35.1, "damping": 0.074}
+    assert margin.peaks("ndi_feedforward", hidden, 200.0)["disk_margin"] < 0.35
+
+
 def test_an_unstable_loop_has_no_sensitivity():
     assert margin.sensitivity(NDI(150.0, 150.0), 400.0) is None
 

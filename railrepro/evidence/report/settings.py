@@ -15,10 +15,10 @@ CASES: dict[str, tuple[str, str, float, dict]] = {
     "curve_entry_T2": ("T2, 160 km/h", "curve_entry_T2", 400, {}),
     "curve_entry_T3": ("T3, 280 km/h", "curve_entry_T3", 600, {}),
     "curve_entry_T4": ("T4, 400 km/h", "curve_entry_T4", 700, {}),
-    "sine_tracking": ("sine, 400 km/h", "sine_tracking", 600, {}),
+    "sine_tracking": ("sine, 400 km/h", "sine_tracking", 300, {}),
     "T3_irregular": ("T3, irregular rails", "curve_entry_T3", 500, {"irregular": {"spectrum": "en_B_300", "seed": 3}}),
-    "adhesion_loss": ("poor rail, 400 km/h", "adhesion_loss", 700, {}),
-    "adhesion_loss_stressed": ("poor rail, stressed", "adhesion_loss", 700, {"plant": {"drive.lag": 7.5e-3}}),
+    "adhesion_loss": ("poor rail, 400 km/h", "adhesion_loss", 1000, {}),
+    "adhesion_loss_stressed": ("poor rail, stressed", "adhesion_loss", 1000, {"plant": {"drive.lag": 7.5e-3}}),
 }
 """Case (a scenario under one condition) -> title, scenario, length of the run (m), fields of `Experiment`."""
 _UNITS = {"rmse_y": "m", "followed_rmse_y": "m", "effort_du": "N m", "activity_du": "N m"}
