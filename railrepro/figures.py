@@ -117,17 +117,17 @@ def _fix_layout(figure: Figure) -> None:
 
 
 def clip(axes: Iterable[Axes], low: float, high: float) -> None:
-    """Limit the ordinate of each of `axes` to low … high, and write the extreme value of each curve beyond it."""
-    look = {"xycoords": "axes fraction", "fontsize": 6, "ha": "right", "color": "0.2"}
-    look |= {"bbox": {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5}}
+    """Limit the ordinate of each of `axes` to low … high, and write above it the extreme values of its curves that lie
+    beyond these limits."""
     for axis in axes:
         lines = [line for line in axis.lines if line.get_transform() == axis.transData]
         values = np.concatenate([np.asarray(line.get_ydata(), float) for line in lines])
         axis.set_ylim(low, high)
-        if values.max() > high:
-            axis.annotate(f"up to {values.max():.2g}", (1.0, 1.0), va="top", **look)
-        if values.min() < low:
-            axis.annotate(f"down to {values.min():.2g}", (1.0, 0.0), va="bottom", **look)
+        notes = [f"up to {values.max():.2g}"] * (values.max() > high) + [f"down to {values.min():.2g}"] * (
+            values.min() < low
+        )
+        look = {"xycoords": "axes fraction", "fontsize": 6.5, "ha": "right", "va": "bottom", "color": "0.2"}
+        axis.annotate(", ".join(notes).replace("-", "\N{MINUS SIGN}"), (1.0, 1.02), **look)
 
 
 def mark(axes: Sequence[Axes], names: Mapping[float, str]) -> None:

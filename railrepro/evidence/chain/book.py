@@ -11,7 +11,7 @@ from railrepro.figures import figure_number
 
 _DISPLAY = re.compile(r"^\$\$\n?(.*?)\n?\$\$$", re.DOTALL | re.MULTILINE)
 _CHAPTER = re.compile(r"`(\d\d_\w+)`")
-_SAVED = re.compile(r"save_figure\([^\n]*?[\"'](fig\d{2,4}_\w+)[\"']")
+_SAVED = re.compile(r"save_figure\([^\"']*?[\"'](fig\d{2,4}_\w+)[\"']")
 
 
 def html() -> Path:
@@ -50,6 +50,8 @@ def chapter(notebook: Notebook) -> dict:
             cells.append(cell | {"source": _CHAPTER.sub(r"[`\1`](\1.ipynb)", text)})
             continue
         cells.append(cell)
+        for shown in (output["data"] for output in cell["outputs"] if "text/markdown" in output.get("data", {})):
+            shown["text/markdown"] = _CHAPTER.sub(r"[`\1`](\1.ipynb)", "".join(shown["text/markdown"]))
         for name in _SAVED.findall(text):
             data_file = f"{{download}}`data <../figures/{name}.csv>`"
             caption = f"**Figure {figure_number(name)}.** {captions[name]} ({data_file})"
