@@ -294,7 +294,7 @@ def alone(lock: Path) -> Iterator[None]:
 
 @contextmanager
 def scratch() -> Iterator[Path]:
-    """Context manager: make a temporary folder and remove it at the end; also those that killed processes left."""
+    """Context manager: make a temporary folder, removed at the end; first remove those of killed processes."""
     for left in Path(tempfile.gettempdir()).glob("railrepro-scratch-*"):
         with suppress(OSError), _locked(left):
             shutil.rmtree(left, ignore_errors=True)

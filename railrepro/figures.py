@@ -117,7 +117,7 @@ def _fix_layout(figure: Figure) -> None:
 
 
 def clip(axes: Iterable[Axes], low: float, high: float) -> None:
-    """Limit the ordinate of each of `axes` to low … high, and write the extreme value of each curve beyond it."""
+    """Limit the ordinate of each of `axes` to low … high, and write the extreme values of its curves beyond it."""
     look = {"xycoords": "axes fraction", "fontsize": 6, "ha": "right", "color": "0.2"}
     look |= {"bbox": {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5}}
     for axis in axes:

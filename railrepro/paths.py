@@ -27,7 +27,7 @@ Value = TypeVar("Value")
 
 def product(relative: str) -> Path:
     """Return the path to write a product, such as "data/results/f.csv", and create its folder, not the file. It is
-    below the folder in the environment variable `RAILREPRO_OUTPUT`, else in a JupyterLab notebook below
+    below the folder in the environment variable `RAILREPRO_OUTPUT`, else in a notebook or IPython below
     build/tried/NAME of the checkout, else below `ROOT`, the checkout (or working folder)."""
     path = (_redirected() or ROOT) / relative
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -36,7 +36,7 @@ def product(relative: str) -> Path:
 
 def source(relative: str) -> Path:
     """Return the path from which an input or a product, such as "data/vehicle.toml", is read. The first folder that has
-    it counts: the one to which products are redirected, the installed package, the checkout."""
+    it counts: the one to which products are redirected, the installed package, else the checkout."""
     folders = [folder for folder in (_redirected(), _PACKAGE if INSTALLED else None) if folder]
     return next((folder / relative for folder in folders if (folder / relative).exists()), ROOT / relative)
 

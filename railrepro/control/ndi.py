@@ -16,8 +16,8 @@ from railrepro.data import Quantity, above, between, table
 
 @table
 class NDI:
-    """Lateral law by dynamic inversion: its torque gives the lateral error linear third-order dynamics with chosen
-    poles.
+    """Lateral law by dynamic inversion, which `simulate.run` takes as it is: its method `torque` gives the lateral
+    error linear third-order dynamics with chosen poles.
 
     Attributes:
         pole (float): Magnitude of the real pole of the error dynamics (rad/s).

@@ -78,8 +78,9 @@ class CurveEntry:
 
 @data.table
 class SegmentEntry:
-    """Segment in data/tracks.toml: its length, and radius, superelevation and inclination at its end. A missing value
-    stays as at the end of the previous segment. A negative radius is a curve to the left, inf is straight."""
+    """Segment in data/tracks.toml: its length, and radius, superelevation (positive right side down) and inclination
+    (positive uphill) at its end. A missing value stays as at the end of the previous segment. A negative radius is a
+    curve to the left, inf is straight."""
 
     length_m: Annotated[Number, LENGTH]
     radius_m: Annotated[Number, RADIUS] | None = None

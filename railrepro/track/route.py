@@ -51,7 +51,7 @@ class Route:
             z (position). Irregularities: lateral, vertical, crosslevel, gauge. y_ref (set point), poor_le and poor_ri
             (share of the poor adhesion set on each rail), force (demand per gear). dkappa is the derivative of kappa
             over p, dy_ref, ddy_ref and dddy_ref are those of y_ref, and so on. Compiled code reads it; read-only.
-        length (float): Track coordinate at which a run ends (m), by default that of the end of the track.
+        length (float): Track coordinate at which a run ends (m), from `lay` that of the end of the track.
     """
 
     cells: np.ndarray

@@ -216,7 +216,8 @@ class Environment:
 class Vehicle:
     """All parameters of the car: car body, running gear, wheel, suspension, motor, contact, adhesion, environment. All
     running gears, wheels and motors are alike. `adhesion` maps names to parameters of the creep law for a state of the
-    rail; data/vehicle.toml has "dry", "poor", "very_poor" and "wet"."""
+    rail; data/vehicle.toml has "dry", "poor", "very_poor" and "wet". InputError unless the gear's roll and yaw inertia
+    exceed those of its wheels."""
 
     body: CarBody
     gear: Gear
@@ -274,7 +275,8 @@ class Vehicle:
 def load_vehicle(path: Path | str | None = None, **overrides) -> Vehicle:
     """Read and check the parameters of a vehicle in a TOML file, by default data/vehicle.toml. InputError for a wrong
     file, key or value. `overrides` replace values of the file (SI) by dotted key, as in
-    `load_vehicle(**{"wheel.radius": 0.43, "adhesion.poor.mu0": 0.12})`."""
+    `load_vehicle(**{"wheel.radius": 0.43, "adhesion.poor.mu0": 0.12})`; "wheel.cone_angle" gives a warning unless the
+    wheels are cones."""
     vehicle = loaded(Vehicle, data.location(path, paths.source("data/vehicle.toml")), overrides)[0]
     if "wheel.cone_angle" in overrides and vehicle.contact.profile != "cone":
         reason = f"the wheels of the car have the profile {vehicle.contact.profile}"

@@ -173,8 +173,8 @@ def machine() -> str:
 
 def main() -> None:
     """Command `bench`: measure computation times and write two tables to data/results: solve_times.csv (columns of
-    `solve_times` and setting), once with the weights of NMPC tuned for exact measurements ("paper"), once with those
-    for sensors ("loop"), and horizon_times.csv with the former. Prints both, and `study_times`."""
+    `solve_times`, setting, machine), once with the weights of NMPC tuned for exact measurements ("paper"), once with
+    those for sensors ("loop"), and horizon_times.csv with the former. Prints both, and `study_times`."""
     vehicle, of = load_vehicle(), {name: mpc_settings(parameters("nmpc", name)) for name in SETTINGS}
     solvers = pd.concat([solve_times(vehicle, settings).assign(setting=name) for name, settings in of.items()])
     tables = {"solve_times": solvers, "horizon_times": horizon_times(vehicle, of[PAPER])}

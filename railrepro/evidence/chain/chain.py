@@ -155,7 +155,8 @@ def last_run(notebook: Notebook) -> dict[str, dict]:
 
 
 def why_stale(notebook: Notebook) -> str:
-    """Say why a notebook must run again: the first input or product that changed since its last run; "" if none did."""
+    """Say why a notebook must run again: what first differs from its last run, of machine, inputs and products; "" if
+    nothing."""
     last = last_run(notebook)
     if not last:
         return "it has not run here"

@@ -92,7 +92,8 @@ def limit(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float]
     """Compute the lower bound of the lateral error (m) of all causal laws with a given torque above 5 Hz. The error is
     the standard deviation of y from the set point at the measured track coordinate. `activity` is the RMS of the
     differential torque above 5 Hz (N m), `loop` are the sensors, `speed` is in m/s, `walks` are the intensities of the
-    random walks of lateral force (N/s^0.5) and yaw moment (N m/s^0.5)."""
+    random walks of lateral force (N/s^0.5) and yaw moment (N m/s^0.5). ValueError if no weight of the torque
+    (`at_weight`) gives the activity."""
     plant = system(vehicle, loop, speed, walks)
     log_weight = brentq(lambda log: np.log(at_weight(plant, 10.0**log)[2] / activity), -10.0, 0.0, xtol=1e-3)
     return at_weight(plant, 10.0**log_weight)[0]
@@ -125,8 +126,9 @@ def feedback(plant: System, weight: float) -> np.ndarray:
 
 
 def at_true_position(error: float, slopes: np.ndarray, loop: Loop) -> float:
-    """Convert a bound `error` (m) from the set point at the measured track coordinate to one at the true coordinate.
-    The root of squares adds the standard deviation of the measured coordinate times the RMS of `slopes` dy*/dp."""
+    """Convert a bound `error` (m) from the set point at the measured track coordinate to one at the true coordinate:
+    the root of the sum of squares of `error` and of the bias of the measured coordinate (standard deviation, m) times
+    the RMS of `slopes` dy*/dp. The noise of the coordinate does not enter."""
     return float(np.hypot(error, loop.position.bias / np.sqrt(3) * np.sqrt(np.mean(np.square(slopes)))))
 
 
