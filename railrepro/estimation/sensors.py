@@ -74,8 +74,7 @@ class Lateral:
 @data.table
 class Rate:
     """Sensor of an angular velocity: gyroscope of a running gear or speed sensor of a wheel. `noise`: standard
-    deviation of a reading; `bias`: a run draws its constant offset from [-bias, bias]; `resolution`: step of rounding
-    (all rad/s)."""
+    deviation of a reading; `bias`: largest constant offset, drawn for a run; `resolution`: step of rounding (rad/s)."""
 
     noise: Annotated[float, _upto(0.1, "rad/s")]
     bias: Annotated[float, _upto(0.1, "rad/s")]
@@ -147,9 +146,8 @@ class Adhesion:
 
 @data.table
 class Loop:
-    """All between car and controllers: errors of the sensors, latencies, errors of the inverters, settings of the
-    filter that estimates states; `load_loop` reads it from data/sensors.toml. InputError if all delays together exceed
-    20 ms."""
+    """All between car and controllers: errors of sensors, latencies, errors of inverters, settings of the filter of
+    states; `load_loop` reads it from data/sensors.toml. InputError if delays exceed 20 ms in all."""
 
     lateral: Lateral
     gyro: Rate
@@ -186,8 +184,8 @@ _RANGES = dict(notes(Loop))
 
 @dataclass(frozen=True)
 class Quality:
-    """Errors of the sensor of one signal in one run, in its unit: standard deviation of the noise, constant offset,
-    step of rounding (0: none)."""
+    """Errors of a signal's sensor in a run, in its unit: standard deviation of noise, offset, step of rounding (0:
+    none)."""
 
     noise: Scalar
     bias: Scalar
@@ -231,8 +229,7 @@ def load_loop(path: Path | str | None = None, **overrides) -> Loop:
 
 def readings(perfect: bool = False, seed: int = 0, **overrides) -> "Readings":
     """Make the `Readings` of a run with the data of data/sensors.toml, changed by `overrides` as in `load_loop`, for
-    one `seed` of noise and biases. With `perfect` readings and commands are exact and without delay, except for the
-    errors of the inverters."""
+    one `seed` of noise and biases. With `perfect` only inverters have errors and delays."""
     loop = load_loop(**overrides)
     return Readings(loop.perfect() if perfect else loop, seed)
 
@@ -280,8 +277,7 @@ def sense(truth: Signals, ticks, gear: int, gain: SensorGains, memory: SensorMem
 
 
 def delayed(line: list, cycles):
-    """Interpolate a list of values, one per control cycle (ms), newest first, `cycles` control cycles ago. Numbers or
-    SX."""
+    """Interpolate a list of values, one per cycle (ms), newest first, `cycles` control cycles ago. Numbers or SX."""
     return sum(ca.fmax(0, 1 - ca.fabs(cycles - k)) * value for k, value in enumerate(line))
 
 

@@ -89,9 +89,8 @@ def rail_forces(normal, creep, angle, side: str, roll) -> tuple[np.ndarray, np.n
 
 
 def low_pass(values, rate: float) -> np.ndarray:
-    """Filter wheel-rail forces `values`, sampled at `rate` (Hz), without phase shift: by a Butterworth filter of second
-    order, forwards and backwards, in all -3 dB at 20 Hz, then 24 dB per octave. Source: EN 14363 (cut-off read, slope
-    recalled)."""
+    """Filter wheel-rail forces, sampled at `rate` (Hz), without phase shift: by a Butterworth filter of second order,
+    forwards and backwards, in all -3 dB at 20 Hz, then 24 dB per octave. Source: EN 14363 (slope recalled)."""
     single = FORCE_CUTOFF / (np.sqrt(2) - 1) ** 0.25
     return scipy.signal.sosfiltfilt(scipy.signal.butter(2, single, fs=rate, output="sos"), values)
 

@@ -65,8 +65,7 @@ class Track:
 
     @property
     def chainage(self) -> float:
-        """Value of p_m in the first row of the CSV (m); 0 without CSV. The chainage of a run is `track.chainage +
-        run.series["front.p"]`."""
+        """Value of p_m in the first row of the CSV (m); 0 without CSV. Add it to front.p of a run."""
         return self.table.attrs.get(_CHAINAGE, 0.0)
 
     @cached_property

@@ -91,8 +91,7 @@ class CarBody:
 class Gear:
     """Running gear: a wheel carrier with two wheels. Mass (kg), roll and yaw inertia (kg m2) include the wheels; pitch
     inertia includes their mass, but not their `spin_inertia`. `contact_base` is the lateral distance b of the contacts
-    (m), `axle_damping` the torque between the wheels over the difference of their speeds (N m s/rad), 0 for independent
-    wheels."""
+    (m), `axle_damping` the torque between the wheels over the difference of their speeds (N m s/rad), 0 for none."""
 
     mass: Mass
     inertia_x: Inertia
@@ -195,8 +194,7 @@ class WheelRail:
 class AdhesionSet:
     """Adhesion set: parameters of Polach's creep law for one state of the rail. The reduction factors k_a in the area
     of adhesion and k_s in that of slip (-) make the creep stiffness at zero creepage (k_a + k_s)/2 times Kalker's; a
-    k_s above k_a counts as k_a. The friction coefficient is mu0 ((1 - a_ratio) exp(-b_decay w) + a_ratio) at a slip
-    speed w (m/s)."""
+    k_s above k_a counts as k_a. Its friction at a slip speed w (m/s): mu0 ((1 - a_ratio) exp(-b_decay w) + a_ratio)."""
 
     k_a: Annotated[float, Parameter(0.0, 1.0, "-")]
     k_s: Annotated[float, Parameter(0.0, 1.0, "-")]
@@ -214,10 +212,9 @@ class Environment:
 
 @data.table
 class Vehicle:
-    """All parameters of the car: car body, running gear, wheel, suspension, motor, contact, adhesion, environment. All
-    running gears, wheels and motors are alike. `adhesion` maps names to parameters of the creep law for a state of the
-    rail; data/vehicle.toml has "dry", "poor", "very_poor" and "wet". InputError unless the gear's roll and yaw inertia
-    exceed those of its wheels."""
+    """All parameters of the car. All running gears, wheels and motors are alike. `adhesion` maps names to parameters of
+    the creep law for a state of the rail; data/vehicle.toml has "dry", "poor", "very_poor" and "wet". InputError unless
+    the gear's roll and yaw inertia exceed those of its wheels."""
 
     body: CarBody
     gear: Gear
@@ -273,10 +270,9 @@ class Vehicle:
 
 
 def load_vehicle(path: Path | str | None = None, **overrides) -> Vehicle:
-    """Read and check the parameters of a vehicle in a TOML file, by default data/vehicle.toml. InputError for a wrong
-    file, key or value. `overrides` replace values of the file (SI) by dotted key, as in
-    `load_vehicle(**{"wheel.radius": 0.43, "adhesion.poor.mu0": 0.12})`; "wheel.cone_angle" gives a warning unless the
-    wheels are cones."""
+    """Read the parameters of a vehicle in a TOML file, by default data/vehicle.toml. InputError for a wrong file, key
+    or value. `overrides` replace values of the file (SI) by dotted key, as in `load_vehicle(**{"wheel.radius": 0.43,
+    "adhesion.poor.mu0": 0.12})`; it warns of "wheel.cone_angle" unless wheels are cones."""
     vehicle = loaded(Vehicle, data.location(path, paths.source("data/vehicle.toml")), overrides)[0]
     if "wheel.cone_angle" in overrides and vehicle.contact.profile != "cone":
         reason = f"the wheels of the car have the profile {vehicle.contact.profile}"

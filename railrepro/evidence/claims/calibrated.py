@@ -80,12 +80,11 @@ def cars() -> dict[str, ProbeSetup]:
 
 
 def judged(world: ProbeSetup, parts: Iterable[str] = PARTS) -> pd.DataFrame:
-    """Judge the paper's statements on a car with its controllers (`world`): one row per statement. Where controllers
-    differ by less than the scatter between tuning seeds, they are tied and the statement does not hold. `parts` are
-    names of groups of runs of `probe`, as "sine"; statements that need other runs or tables have no row. Columns:
-    statement (id); value; above and below, its lower and upper limit (NaN for none); margin, distance to the nearer
-    limit over this limit (not divided for a limit of 0), negative outside; holds, whether the statement is reproduced.
-    """
+    """Judge the paper's statements on a car with its controllers (`world`): one row per statement. Controllers that
+    differ by less than the scatter between tuning seeds are tied, and the statement does not hold. `parts` names groups
+    of runs of `probe`, as "sine"; statements that need other runs or tables have no row. Columns: statement (id);
+    value; above and below, its lower and upper limit (NaN for none); margin, distance to the nearer limit over this
+    limit (not divided for a limit of 0), negative outside; holds, whether the statement is reproduced."""
     found, rows = statements.findings(Evidence(probe(world, parts), Nominal().evidence(PAPER).spread)), []
     for identity, rule in statements.load().items():
         if identity not in found:

@@ -77,9 +77,8 @@ def probe(world: ProbeSetup, parts: Iterable[str] = PARTS) -> dict[Key, float]:
 
 
 def nothing(scenario: Scenario) -> dict[str, float]:
-    """Compute metrics of a scenario without guidance from its set point y* alone, which must not be "none". Returns a
-    dict: rmse_y and largest_error of a running gear that stays at y = 0 (m), and shortest_wave, the shortest period of
-    y* (m)."""
+    """Compute metrics without guidance from the set point y* of a scenario, which must not be "none": a dict with
+    rmse_y and largest_error of a running gear that stays at y = 0 (m), and shortest_wave, its shortest period (m)."""
     reference = scenario.reference()
     values = ca.DM(reference(np.arange(0.0, scenario.end_m, 0.1))).full()
     waves = [value for key, value in scenario.set_point.items() if key.startswith("period")]
@@ -94,9 +93,8 @@ def _unless_failed(run: simulate.Run, experiment: Experiment, names: Iterable[st
 
 
 def following(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Measure how the front running gear follows its set point: RMS error rmse_y, largest_error and
-    mean_error_last_third (m), RMS differential torque effort_du (N m), failed (0 or 1). Returns (dict, None). Of a
-    failed run the dict has only failed."""
+    """Measure how the front gear follows its set point: RMS error rmse_y, largest_error and mean_error_last_third (m),
+    RMS differential torque effort_du (N m), failed (0 or 1; if 1, the only key). Returns (dict, None)."""
     return _unless_failed(run, experiment, _FOLLOWING), None
 
 
@@ -134,10 +132,9 @@ def losing(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def slipping(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Measure a run over a slippery patch (p = 300 to 500 m). Returns (dict, None). Keys, also of a failed run:
-    largest_slip of all wheels (-); utilisation, mean adhesion of the left front wheel on the patch over the peak there
-    (-); regular_deviation, mean relative deviation of the adhesion from its set point before the patch, from 200 to 299
-    m (-); failed (0 or 1)."""
+    """Measure a run over a slippery patch, p = 300 to 500 m. Returns (dict, None). Keys, even if it failed:
+    largest_slip of all wheels (-); utilisation, mean adhesion of the left front wheel there over its peak (-);
+    regular_deviation, mean relative deviation of the adhesion from its set point at 200 to 299 m (-); failed."""
     scenario, car, series = experiment.scenario, experiment.car(), metrics.gear_series(run.series, stride=10)
     patch = series[series["front.p"].between(*PATCH)]
     adhesion = float((np.sign(patch["front.f_star"]) * patch["front_le.adhesion"]).mean())
@@ -368,10 +365,9 @@ def torque_step(series: pd.DataFrame) -> float:
 
 
 def torque_shift(first: pd.DataFrame, second: pd.DataFrame) -> dict[str, float]:
-    """Compute how far along the track the differential torque of a run `second` lags behind that of a run `first`,
-    between p = 75 and 525 m of `first`. Both tables have the columns front.p and front.du. Returns a dict: ndi_later,
-    the lag at which the torques correlate best (m, -15 to 40, positive if `second` is later), and ndi_alike, their
-    correlation at this lag (-)."""
+    """Compute how far along the track the differential torque of a run `second` lags that of a run `first`, between p =
+    75 and 525 m of `first`. Both have the columns front.p and front.du. Returns a dict: ndi_later, the lag of best
+    correlation (m, -15 to 40, positive if `second` is later), and ndi_alike, this correlation (-)."""
     grid = np.arange(60.0, 590.0, 0.25)
     one, other = (np.interp(grid, rows["front.p"], rows["front.du"]) for rows in (first, second))
     shifts = np.arange(-60, 161)
@@ -419,12 +415,11 @@ def deviation(series: pd.DataFrame, begin: float, end: float) -> float:
 def macro_slips(series: pd.DataFrame, peak: float, slip: float) -> dict[str, float]:
     """Count macro slips and approaches to the adhesion peak in a run of Fig. 8 from p = 240 m on. `series` is that of
     `metrics.gear_series`, `peak` and `slip` are adhesion and slip at the peak (-). A macro slip begins where the slip
-    of a front wheel exceeds `slip`. An approach is the stretch from 240 m or the begin of a macro slip to that of the
-    next one or the end. Returns a dict of counts: macro_slips that begin more than 0.135 s (a tenth of a wave of the
-    set point) before the end; recovered, those of them in which, within 0.135 s, the base torque falls by a tenth and
-    both slips are below `slip` once (all by the paper); approaches; approached, those in which the mean adhesion of the
-    front wheels reaches 0.9 `peak` while neither slips (all by the paper). A last approach shorter than 110 m that does
-    not reach it is left out."""
+    of a front wheel exceeds `slip`. An approach goes from 240 m or the begin of a macro slip to the next one or the
+    end. Returns counts: macro_slips that begin more than 0.135 s (a tenth of a wave of the set point) before the end;
+    recovered, those of them in which, within 0.135 s, the base torque falls by a tenth and both slips are below `slip`
+    once (all by the paper); approaches; approached, those in which the mean adhesion of the front wheels reaches 0.9
+    `peak` while neither exceeds `slip` (all by the paper). A last one of under 110 m that does not is left out."""
     rows = series[series["front.p"] >= REACHED]
     time, torque = rows["t_s"].to_numpy(), rows["front.u_d"].to_numpy()
     beyond = (rows[["front_ri.sx", "front_le.sx"]].abs() > slip).any(axis=1).to_numpy()

@@ -100,8 +100,7 @@ class Evidence:
         raise MissingEvidence(f"{name}, {self.setting or 'no setting'}")
 
     def ratio(self, scenario: str, first: str, second: str, metric: str = "rmse_y") -> float:
-        """Divide a metric of the controller `first` by that of `second` (-); NaN if that is infinite, as after a
-        failure."""
+        """Divide a metric of the controller `first` by that of `second` (-); NaN if that is infinite (failed)."""
         other = self(scenario, second, metric)
         return self(scenario, first, metric) / other if np.isfinite(other) else float("nan")
 
@@ -152,9 +151,9 @@ class Statement:
 
     def judge(self, finding: Finding) -> str:
         """Return the first verdict that applies. "reproduced": `finding.value` is between `above` and `below` by more
-        than a factor exp(tie). "tie": it is within this factor of a limit. "partly": `finding.weaker` (without it
-        `value`) is by this factor between `partly_above` and `partly_below` (without both: `above` and `below`). Else
-        "not reproduced"."""
+        than a factor exp(tie). "tie": it is within this factor of a limit. "partly": `finding.weaker` (`value` if None)
+        is by this factor between `partly_above` and `partly_below` (without both, of `above` and `below`). Else "not
+        reproduced"."""
         limits = self.above, self.below
         if _within(finding.value, *limits, finding.tie):
             return REPRODUCED

@@ -56,9 +56,8 @@ def _setup(answered: Iterable[Question]) -> ProbeSetup:
 
 def flips(answered: Mapping[str, Question]) -> pd.DataFrame:
     """Judge the paper's statements before and after answers to open questions, with exact measurements: one row per
-    statement that is judged by metrics of runs, changed or not. `answered` maps names to questions with an answer. Only
-    the runs that depend on an answer are simulated again. Columns id, statement (its text), before, after
-    (`Statement.judge`)."""
+    statement about metrics of runs. `answered` maps names to questions with an answer. Only the runs that depend on an
+    answer are simulated again. Columns id, statement (its text), before, after (`Statement.judge`)."""
     probed = _setup(answered.values())  # refuses a value before anything runs
     needed = {part for question in answered.values() for part in question.parts}
     rows = probe.probe(probed, [part for part in probe.PARTS if part in needed])

@@ -95,8 +95,7 @@ class Page:
 
     def render(self, template: str, **more) -> str:
         """Return the text made from a template, a file name in data/. It may use the notebooks (`chapters`), the
-        tolerances for products of a rerun against the committed ones (`verify`), captions of figures, and the values
-        `more`."""
+        tolerances of products of a rerun (`verify`), captions of figures, and `more`."""
         chain, captions = (data.read(paths.NOTEBOOKS / name) for name in ("chain.toml", "book/captions.toml"))
         more |= {
             "chapters": chain["notebook"],
