@@ -1,7 +1,7 @@
 """Paths of inputs and products, and the record of files that a notebook reads. The checkout is the folder above this
 package, or `RAILREPRO_ROOT`. An installed package has no checkout: it contains a copy of the inputs and writes to the
 working folder. If `RAILREPRO_OUTPUT` is set, `product` writes below that folder and `source` prefers files there. A
-notebook in JupyterLab writes below build/tried/NAME, as only the complete run of all notebooks renews the products."""
+notebook or IPython writes below build/tried/NAME, as only the complete run of all notebooks renews the products."""
 
 import os
 import sys

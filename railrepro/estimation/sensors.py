@@ -229,7 +229,8 @@ def load_loop(path: Path | str | None = None, **overrides) -> Loop:
 
 def readings(perfect: bool = False, seed: int = 0, **overrides) -> "Readings":
     """Make the `Readings` of a run with the data of data/sensors.toml, changed by `overrides` as in `load_loop`, for
-    one `seed` of noise and biases. With `perfect` only inverters have errors and delays."""
+    one `seed` of noise and biases. With `perfect` readings and commands are exact and without delay, but inverters keep
+    their errors."""
     loop = load_loop(**overrides)
     return Readings(loop.perfect() if perfect else loop, seed)
 

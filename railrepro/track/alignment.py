@@ -78,7 +78,8 @@ class CurveEntry:
 @data.table
 class SegmentEntry:
     """Segment in data/tracks.toml: its length, and radius, superelevation (positive right side down) and inclination
-    (positive uphill) at its end. A missing value stays as before. A negative radius is to the left, inf straight."""
+    (positive uphill) at its end. A missing value stays as in the segment before. A negative radius is a curve to the
+    left, inf is straight."""
 
     length_m: Annotated[Number, LENGTH]
     radius_m: Annotated[Number, RADIUS] | None = None

@@ -51,8 +51,8 @@ def build_table(alignment: Alignment, step: float = STEP, heading: float = 0.0) 
 @dataclass(frozen=True, eq=False)
 class Track:
     """Track that interpolates in a table from `build_table`, exactly on straights, clothoids, arcs and cant ramps.
-    Before the first row the track is straight, with its cant and inclination. After the last row it keeps curvature,
-    cant and inclination of that row. `design_speed` is in m/s, None if unknown."""
+    Before the first row the track is straight, after the last one it keeps the curvature; cant and inclination stay as
+    in that row. `design_speed` is in m/s, None if unknown."""
 
     name: str
     table: pd.DataFrame

@@ -29,7 +29,7 @@ from railrepro.tuning.task import triple_pole
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 PARTS = ("curve", "curves", "sine", "loss", "brake")
-"""Groups of runs in every probe: curve entry on T3; on T1, T2, T4; sine at five speeds; loss of adhesion; braking."""
+"""Usual groups of runs of a probe: curve entry on T3; on T1, T2, T4; sine at five speeds; loss of adhesion; braking."""
 ONCE = ("causes", "sudden", "share", "rails", "lags")
 """Groups of runs once per setting: creep and cones, sudden losses of adhesion, allocation, irregular rails, lags."""
 SEEDS = (101, 102, 103)  # of the sensor noise in nominal runs; tuning has others
@@ -78,7 +78,8 @@ def probe(world: ProbeSetup, parts: Iterable[str] = PARTS) -> dict[Key, float]:
 
 def nothing(scenario: Scenario) -> dict[str, float]:
     """Compute metrics without guidance from the set point y* of a scenario, which must not be "none": a dict with
-    rmse_y and largest_error of a running gear that stays at y = 0 (m), and shortest_wave, its shortest period (m)."""
+    rmse_y and largest_error of a running gear that stays at y = 0 (m), and shortest_wave, the shortest period of y*
+    (m)."""
     reference = scenario.reference()
     values = ca.DM(reference(np.arange(0.0, scenario.end_m, 0.1))).full()
     waves = [value for key, value in scenario.set_point.items() if key.startswith("period")]
@@ -101,9 +102,10 @@ def following(run: simulate.Run, experiment: Experiment) -> store.Entry:
 def entering(run: simulate.Run, experiment: Experiment) -> store.Entry:
     """Measure a run of Fig. 6 (curve entry). Returns a pair: a dict of metrics, and a DataFrame with every 10th row of
     the run (`metrics.gear_series`). Keys: those of `following`; delay, distance along the track by which y trails its
-    set point y* (m); `shortfall` (m); torque_step, the mean differential torque over the first wave of y* minus the
-    mean before this wave (N m); path_error, RMS yaw of the gear against the track over RMS heading of the track (-). Of
-    a failed run the dict has only failed = 1, and the DataFrame is None."""
+    set point y* (m); `shortfall`, the distance by which y stays inside the crests of y*, where |y*| is above 5/6 of its
+    maximum, on the worse side (m); torque_step, the mean differential torque over the first wave of y* minus the mean
+    before this wave (N m); path_error, RMS yaw of the gear against the track over RMS heading of the track (-). Of a
+    failed run the dict has only failed = 1, and the DataFrame is None."""
     values, _ = following(run, experiment)
     if run.failed:
         return values, None
@@ -133,8 +135,8 @@ def losing(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 def slipping(run: simulate.Run, experiment: Experiment) -> store.Entry:
     """Measure a run over a slippery patch, p = 300 to 500 m. Returns (dict, None). Keys, even if it failed:
-    largest_slip of all wheels (-); utilisation, mean adhesion of the left front wheel there over its peak (-);
-    regular_deviation, mean relative deviation of the adhesion from its set point at 200 to 299 m (-); failed."""
+    largest_slip of all wheels (-); utilisation, mean adhesion of the left front wheel there over the peak of this rail
+    (-); regular_deviation, mean relative deviation of the adhesion from its set point at 200 to 299 m (-); failed."""
     scenario, car, series = experiment.scenario, experiment.car(), metrics.gear_series(run.series, stride=10)
     patch = series[series["front.p"].between(*PATCH)]
     adhesion = float((np.sign(patch["front.f_star"]) * patch["front_le.adhesion"]).mean())

@@ -145,13 +145,13 @@ class Page:
 
     def e(self, setting: str, scenario: str, controller: str, metric: str) -> float:
         """Metric (SI) of a controller in a scenario, mean over sensor seeds in data/results/nominal_metrics.csv; of a
-        failed run inf or NaN (`Evidence`). `setting` says how controllers were tuned and run: "paper" (exact
+        failed run inf or NaN (`statements.Evidence`). `setting` says how controllers were tuned and run: "paper" (exact
         measurements), "swarm" (the same, but poles of NDI by particle swarm) or "loop" (sensors)."""
         return self.nominal.evidence(setting)(scenario, controller, metric)
 
     def q(self, setting: str, scenario: str, controller: str, metric: str, unit: str = "") -> str:
-        """Metric of a controller in a scenario as Markdown link "[value unit](data/results/nominal_metrics.csv)" with
-        digits as from `quantity`; `unit` is "" (SI), "mm" or "%". `setting` says how controllers were tuned and run:
+        """Metric of a controller in a scenario as Markdown link "[value unit](data/results/nominal_metrics.csv)" as
+        from `quantity`: `unit` is "", "mm", "%" or the SI unit. `setting` says how controllers were tuned and run:
         "paper" (exact measurements), "swarm" (the same, but poles of NDI by particle swarm) or "loop" (sensors)."""
         return linked(self.e(setting, scenario, controller, metric), METRICS, unit)
 
@@ -216,8 +216,9 @@ def csv(relative: str) -> pd.DataFrame:
 
 
 def quantity(value: float, unit: str = "") -> str:
-    """Text of an SI value in `unit` (SI, "mm" or "%"): three significant digits below 100, from 100 on one decimal,
-    without ".0"; "derailed" if it is infinite, "n/a" for NaN."""
+    """Text of an SI value and its `unit`: "mm" and "%" convert the value, any other unit, such as "m", is only added.
+    It has three significant digits below 100, from 100 on one decimal, without ".0"; "derailed" if it is infinite,
+    "n/a" for NaN."""
     if not np.isfinite(value):
         return UNKNOWN if np.isnan(value) else "derailed"
     shown = {"mm": 1e3, "%": 100.0}.get(unit, 1.0) * value
