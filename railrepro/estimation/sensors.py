@@ -146,8 +146,8 @@ class Adhesion:
 
 @data.table
 class Loop:
-    """All between car and controllers: errors of sensors, latencies, errors of inverters, settings of the filter of
-    states; `load_loop` reads it from data/sensors.toml. InputError if delays exceed 20 ms in all."""
+    """All between car and controllers: errors of sensors and inverters, latencies, settings of the filter of states and
+    of the adhesion law; `load_loop` reads it from data/sensors.toml. InputError if delays exceed 20 ms in all."""
 
     lateral: Lateral
     gyro: Rate
@@ -184,7 +184,7 @@ _RANGES = dict(notes(Loop))
 
 @dataclass(frozen=True)
 class Quality:
-    """Errors of a signal's sensor in a run, in its unit: standard deviation of noise, offset, step of rounding (0:
+    """Errors of a signal's sensor in a run, in its unit: noise (standard deviation), offset, rounding step (0:
     none)."""
 
     noise: Scalar
@@ -278,7 +278,7 @@ def sense(truth: Signals, ticks, gear: int, gain: SensorGains, memory: SensorMem
 
 
 def delayed(line: list, cycles):
-    """Interpolate a list of values, one per cycle (ms), newest first, `cycles` control cycles ago. Numbers or SX."""
+    """Interpolate `line`, a list of values, one per ms, newest first, `cycles` ms ago. Numbers or CasADi's SX."""
     return sum(ca.fmax(0, 1 - ca.fabs(cycles - k)) * value for k, value in enumerate(line))
 
 

@@ -273,8 +273,8 @@ class Vehicle:
 def load_vehicle(path: Path | str | None = None, **overrides) -> Vehicle:
     """Read the parameters of a vehicle in a TOML file, by default data/vehicle.toml. InputError for a wrong file, key
     or value. `overrides` replace values of the file (SI) by dotted key, as in `load_vehicle(**{"wheel.radius": 0.43,
-    "adhesion.poor.mu0": 0.12})`. A warning tells that "wheel.cone_angle" does not change wheels with another profile
-    than "cone"."""
+    "adhesion.poor.mu0": 0.12})`. A warning tells if "wheel.cone_angle" does not change the wheels (profile not
+    "cone")."""
     vehicle = loaded(Vehicle, data.location(path, paths.source("data/vehicle.toml")), overrides)[0]
     if "wheel.cone_angle" in overrides and vehicle.contact.profile != "cone":
         reason = f"the wheels of the car have the profile {vehicle.contact.profile}"
@@ -285,7 +285,8 @@ def load_vehicle(path: Path | str | None = None, **overrides) -> Vehicle:
 def loaded(kind: type, file: Path, overrides: dict) -> tuple[Any, dict[str, dict]]:
     """Read a file of parameters with unit and source (`Entry`). Returns the values as an instance of the `data.table`
     class `kind`, and a dict: dotted key such as "wheel.radius" -> its entry as a dict. `overrides`, dotted key -> value
-    (SI), replace values of the file; their range becomes "fixed". InputError for a wrong file, key or value."""
+    (SI), replace values of the file. They are checked like these; the `range` of their entry, from which studies
+    sample, becomes "fixed" (not sampled). InputError for a wrong file, key or value."""
     content = data.read(file)
     entries = dict(_entries(content))
     for key, value in overrides.items():

@@ -421,7 +421,8 @@ def macro_slips(series: pd.DataFrame, peak: float, slip: float) -> dict[str, flo
     end. Returns counts: macro_slips that begin more than 0.135 s (a tenth of a wave of the set point) before the end;
     recovered, those of them in which, within 0.135 s, the base torque falls by a tenth and both slips are below `slip`
     once (all by the paper); approaches; approached, those in which the mean adhesion of the front wheels reaches 0.9
-    `peak` while neither exceeds `slip` (all by the paper). A last one of under 110 m that does not is left out."""
+    `peak` while neither exceeds `slip` (all by the paper). The last of several approaches is not counted if it is under
+    110 m long and does not reach 0.9 `peak`."""
     rows = series[series["front.p"] >= REACHED]
     time, torque = rows["t_s"].to_numpy(), rows["front.u_d"].to_numpy()
     beyond = (rows[["front_ri.sx", "front_le.sx"]].abs() > slip).any(axis=1).to_numpy()
