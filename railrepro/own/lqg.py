@@ -121,8 +121,7 @@ class Design:
         """Design the LQ regulator: it sets the change d of the torque per ms (N m) and minimises, summed over all ms,
         y^2 + turn^2 (speed / (100 m/s)) r^2 + change d^2 (m2). y is the displacement from the irregular rails minus set
         point (m), r the yaw rate (rad/s); `LqgPreview` has turn and change. Returns gains of d: (10 + sent,) for x,
-        then the torques sent, latest first; (points, 8) for the 7 known inputs and the set point, at points of the
-        preview `TAP` apart."""
+        then torques sent, latest first; (points, 8) for known (7) and set point at points `TAP` (s) apart."""
         n, h = _MODEL + self.sent, CONTROL_PERIOD
         a, b, error = np.zeros((n, n)), np.zeros(n), np.zeros(n)
         a[:_MODEL, :_MODEL], a[_MODEL, _MODEL], b[_MODEL] = self.a, 1.0, 1.0

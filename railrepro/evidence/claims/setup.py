@@ -63,7 +63,7 @@ class ProbeSetup(World):
         return base.but(set_point=base.set_point | chosen)
 
     def stretched(self) -> Alignment | None:
-        """Track T3, the length of its clothoid multiplied by `clothoid_factor`; None when the factor is 1."""
+        """Alignment of track T3 with the length of its clothoid times `clothoid_factor`; None when the factor is 1."""
         if self.clothoid_factor == 1.0:
             return None
         straight, clothoid, *rest = alignments()["T3"].segments

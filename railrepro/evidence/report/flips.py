@@ -17,12 +17,12 @@ from railrepro.evidence.claims.setup import ProbeSetup, setup
 
 @data.table
 class Question:
-    """Open question to the authors of the paper about values that it does not print, one table of data/answers.toml.
-    `asks` is its text. `sets` names what the answer sets: parameters, as "ndi:pole" (keys of the argument `values` of
+    """Open question to the paper's authors about values that it does not print, one table of data/answers.toml. `asks`
+    is its text. `sets` names what the answer sets: parameters, as "ndi:pole" (keys of the argument `values` of
     `setup.setup`), or "column", which has the answer "paper" (a designer set the poles of NDI) or "swarm" (a particle
     swarm found them). `parts` are the groups of runs (`probe.PARTS`) that depend on it. `answer` has a value (in
-    `unit`) for each of `sets`, or fewer, used in turn; () is no answer yet. InputError when their number does not
-    divide that of `sets`."""
+    `unit`) for each of `sets`, or fewer, used in turn; () is no answer yet. InputError if their number does not divide
+    that of `sets`."""
 
     asks: str
     sets: Annotated[tuple[str, ...], data.NOT_EMPTY]
@@ -58,7 +58,7 @@ def _setup(answered: Iterable[Question]) -> ProbeSetup:
 def flips(answered: Mapping[str, Question]) -> pd.DataFrame:
     """Judge the paper's statements before and after answers to open questions, with exact measurements: one row per
     statement about metrics of runs. `answered` maps names to questions with an answer. Only the runs that depend on an
-    answer are simulated again. Columns id, statement (its text), before, after (`Statement.judge`)."""
+    answer are simulated again. Columns id, statement (its text), before, after (verdicts, as "not reproduced")."""
     probed = _setup(answered.values())  # refuses a value before anything runs
     needed = {part for question in answered.values() for part in question.parts}
     rows = probe.probe(probed, [part for part in probe.PARTS if part in needed])
