@@ -92,6 +92,7 @@ EDITS = [
     Edit("05", cells={"for pole in (20.0, 30.0, 50.0)": "for pole in (15.0, 60.0)"}),
     Edit("05", texts={TUNING: ("weight = 0.25", "weight = 1.0")}),
     Edit("05", cells={'"horizon_s": 0.02}': '"horizon_s": 0.04}'}),
+    Edit("05", cells={'"damping": 0.0744}': '"damping": 0.3}'}, marks=True),
     Edit("06", {"end_m": 100.0, "ndi_poles": [20, 40]}, marks=True),
     Edit("06", {"end_m": 30.0, "ndi_poles": []}, marks=True),
     Edit("06", {"scenario_name": "curve_entry_T4", "end_m": 700.0}),
