@@ -121,9 +121,8 @@ def clip(axes: Iterable[Axes], low: float, high: float) -> None:
         lines = [line for line in axis.lines if line.get_transform() == axis.transData]
         values = np.concatenate([np.asarray(line.get_ydata(), float) for line in lines])
         axis.set_ylim(low, high)
-        notes = [f"up to {values.max():.2g}"] * (values.max() > high) + [f"down to {values.min():.2g}"] * (
-            values.min() < low
-        )
+        beyond = {"up to": (values.max(), values.max() > high), "down to": (values.min(), values.min() < low)}
+        notes = [f"{word} {value:.2g}" for word, (value, outside) in beyond.items() if outside]
         look = {"xycoords": "axes fraction", "fontsize": 6.5, "ha": "right", "va": "bottom", "color": "0.2"}
         axis.annotate(", ".join(notes).replace("-", "\N{MINUS SIGN}"), (1.0, 1.02), **look)
 
