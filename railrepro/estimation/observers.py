@@ -81,7 +81,8 @@ class FilterGains:
 
 @dataclass(frozen=True)
 class Estimates:
-    """Estimates of a running gear at the time when a torque acts. Lists are [left, right] wheel."""
+    """Estimates of a running gear at the time when a torque acts. Lists are [left, right] wheel. Slip is (v - r_0 w) /
+    max(v, 1 m/s) with speed v, wheel radius r_0, angular speed of the wheel w: positive in braking."""
 
     y_TrAx: Annotated[Scalar, "m", "lateral displacement"]
     psi_TrAx: Annotated[Scalar, "rad", "yaw angle against the track"]

@@ -146,8 +146,8 @@ class Adhesion:
 
 @data.table
 class Loop:
-    """All between car and controllers: errors of sensors, latencies, errors of inverters, settings of the filter of
-    states; `load_loop` reads it from data/sensors.toml. InputError if delays exceed 20 ms in all."""
+    """All between car and controllers: errors of sensors and inverters, latencies, settings of the filter of states and
+    of the adhesion law; `load_loop` reads it from data/sensors.toml. InputError if delays exceed 20 ms in all."""
 
     lateral: Lateral
     gyro: Rate
@@ -184,8 +184,7 @@ _RANGES = dict(notes(Loop))
 
 @dataclass(frozen=True)
 class Quality:
-    """Errors of a signal's sensor in a run, in its unit: standard deviation of noise, offset, step of rounding (0:
-    none)."""
+    """Errors of a sensor in a run, in its unit: standard deviation of noise, offset, step of rounding (0: none)."""
 
     noise: Scalar
     bias: Scalar
@@ -229,8 +228,7 @@ def load_loop(path: Path | str | None = None, **overrides) -> Loop:
 
 def readings(perfect: bool = False, seed: int = 0, **overrides) -> "Readings":
     """Make the `Readings` of a run with the data of data/sensors.toml, changed by `overrides` as in `load_loop`, for
-    one `seed` of noise and biases. With `perfect` readings and commands are exact and without delay, but inverters keep
-    their errors."""
+    one `seed` of noise and biases. With `perfect` only the inverters have errors and delay."""
     loop = load_loop(**overrides)
     return Readings(loop.perfect() if perfect else loop, seed)
 
@@ -257,10 +255,10 @@ class Readings:
 
 
 def sense(truth: Signals, ticks, gear: int, gain: SensorGains, memory: SensorMemory) -> tuple[Signals, dict[str, list]]:
-    """Read the sensors of a gear (0 front, 1 rear) in this control cycle. All numbers are of type SX. `truth` are the
-    exact values, `memory` the last values of each signal after the previous cycle. `ticks` counts the control cycles
-    from the start; at 0 the first reading fills the memory. Returns the delayed readings that reach the controller, and
-    the next memory as a dict: signal but p, such as "w_le" -> list of 21 values, newest first."""
+    """Read the sensors of a gear (0 front, 1 rear) in this control cycle. All numbers are of CasADi's type SX. `truth`
+    are the exact values, `memory` the last values of each signal after the previous cycle. `ticks` counts the control
+    cycles from the start; at 0 the first reading fills the memory. Returns the delayed readings that reach the
+    controller, and the next memory as a dict: signal (all but p), such as "w_le" -> list of 21 values, newest first."""
     readings, lines = {}, {}
     for i, signal in enumerate(SIGNALS):
         quality = getattr(gain, signal)
@@ -278,7 +276,7 @@ def sense(truth: Signals, ticks, gear: int, gain: SensorGains, memory: SensorMem
 
 
 def delayed(line: list, cycles):
-    """Interpolate a list of values, one per cycle (ms), newest first, `cycles` control cycles ago. Numbers or SX."""
+    """Interpolate `line`, a list of values, one per ms, newest first, `cycles` ms ago. Numbers or CasADi's SX."""
     return sum(ca.fmax(0, 1 - ca.fabs(cycles - k)) * value for k, value in enumerate(line))
 
 

@@ -9,8 +9,12 @@ constant speed v and a car body that stays on the track::
     E' = r_0/J_Wy (tau - r_0 F_x) - v^2 kappa' b/2,   T_m tau' = du - tau,   F_x = k_11/v (E - r b/2 - lambda v y/r_0)
 
 with a_y = g phi_Tr - v^2 kappa, E = r_0 (w_le - w_ri)/2 - kappa v b/2, force F_s of the suspension, lateral creep force
-F_y and moment M_s of both contacts, force F_N normal to the rails, and half the difference F_x of the longitudinal
-creep forces. In contact forces y counts from the rails. Slopes of the wheel profile are secants.
+F_y and moment M_s of both contacts, force F_N normal to the rails, half the difference F_x of the longitudinal creep
+forces, unknown force F_d and moment M_d. Of the gear are mass m, yaw inertia J_z, roll phi, distance b of the contacts,
+yaw stiffness k_sz and damping k_dz to the car body (mass m_CB, heading psi_CB, curvature of its path kappa_CB); of the
+wheels radius r_0, spin inertia J_Wy, speeds w, motor lag T_m, conicity lambda; of the track heading psi_Tr, cant angle
+phi_Tr, curvature kappa. Gamma is roll per displacement, k_11 Kalker's coefficient. In contact forces y counts from the
+rails. Slopes of the wheel profile are secants.
 """
 
 import numpy as np

@@ -50,13 +50,15 @@ _N, _RAIL, _RATE, _MODEL, _FREE = len(STATES), *(len(STATES) + k for k in (2, 3,
 
 class Design:
     """Kalman filters and regulator of a gear at one `speed` (m/s), in steps of 1 ms, for the `vehicle` that the
-    controller assumes. Of the two filters one assumes ideal rails, the other rough ones; a run weights them by how well
-    they predict the readings. Without sensors (`loop`, their errors and delays, is None) both assume ideal rails.
+    controller assumes. One filter assumes ideal rails, the other rough ones; a run weights them by how well they
+    predict the readings. Without sensors (`loop`, their errors and delays, is None) both assume ideal rails.
 
     Attributes:
         a, b, e (ndarray, shapes (10, 10), (10,), (10, 7)): Model over 1 ms, x+ = a x + b du + e known. x has the six
             states `gear_model.STATES` (displacement y to torque tau), unknown force and moment, lateral offset of the
-            rails (m) and its rate (m/s).
+            rails (m) beyond the known one, its rate (m/s). known has, of the track: lateral acceleration by cant and
+            curve (m/s2), yaw acceleration (rad/s2), roll rate (rad/s), heading against the car body (rad), its rate
+            (rad/s); known offset of the rails (m), its rate (m/s).
         delay (int): Time from a reading to the torque (ms); 0 without sensors.
         sent (int): Number of last torques that the regulator knows, on their way to the motor or acting: max(delay, 1).
         rails (tuple of float): Amplitude A of the rail spectrum in both filters (m rad).
@@ -119,8 +121,7 @@ class Design:
         """Design the LQ regulator: it sets the change d of the torque per ms (N m) and minimises, summed over all ms,
         y^2 + turn^2 (speed / (100 m/s)) r^2 + change d^2 (m2). y is the displacement from the irregular rails minus set
         point (m), r the yaw rate (rad/s); `LqgPreview` has turn and change. Returns gains of d: (10 + sent,) for x,
-        then the torques sent, latest first; (points, 8) for the 7 known inputs and the set point, at points of the
-        preview `TAP` apart."""
+        then torques sent, latest first; (points, 8) for known (7) and set point at points `TAP` (s) apart."""
         n, h = _MODEL + self.sent, CONTROL_PERIOD
         a, b, error = np.zeros((n, n)), np.zeros(n), np.zeros(n)
         a[:_MODEL, :_MODEL], a[_MODEL, _MODEL], b[_MODEL] = self.a, 1.0, 1.0

@@ -36,8 +36,7 @@ class Comparison:
     """Metrics and series of several runs, with tables and figures of them; made by `compare`. `rows` has one row per
     run: its labels and its metrics in SI units, such as rmse_y, delay, effort_du, failed (all in `Experiment.values`).
     `series` has the time series of the front running gear of all runs below each other: labels, controller, t_s,
-    front.p, front.y, front.y_ref, … `labels` are the names of the columns by which the runs differ, as ("speed_kmh",
-    "controller")."""
+    front.p, front.y, … `labels` are the columns by which the runs differ, as ("speed_kmh", "controller")."""
 
     rows: pd.DataFrame
     series: pd.DataFrame
@@ -124,12 +123,12 @@ def compare(
             mapping of names to scenarios.
         controllers (sequence or mapping): Keys of `CONTROLLERS`, as "nmpc", "ltv_mpc", "ndi"; or a mapping of names in
             tables to keys, or to dicts with the entry controller (a key) and, if needed, r_times (factor on the weight
-            R of NMPC or MPC) and fields of `Experiment`.
+            R of NMPC or LTV-MPC) and fields of `Experiment`.
         setting (str or list): Conditions for which the controllers were tuned: "paper", exact measurements; "loop",
             sensors with noise and delays, which the runs then have, too.
-        car (mapping, optional): Name -> `World`: a changed car, parameters of all `controllers` and sensors, as
-            `replace(world(["ndi"]), vehicle={"body.mass": 3e4})`. With a `World` noise_seed is unused and setting is
-            only a label.
+        car (mapping, optional): Name -> `World`: a changed car with the parameters of all `controllers` and with
+            sensors, as `replace(world(["ndi"]), vehicle={"body.mass": 3e4})`. With a `World` noise_seed is unused and
+            setting is only a label.
         solver (str): Solver of NMPC: rti, gauss_newton or ipopt.
         noise_seed (int): Random seed of the sensors in the setting "loop".
         stride (int): The series have every n-th control cycle (1 ms).

@@ -213,8 +213,7 @@ def _made(experiment: Experiment) -> Surroundings:
 @lru_cache(maxsize=64)
 def _rails(end: float, irregular: str, known: str, spectra: tuple | None) -> tuple[pd.DataFrame | None, tuple | None]:
     """Irregularities (`rough_track`) up to a coordinate (m), and the pair (p, line) of `preview.plan`; None without.
-    `irregular` and `known` are the fields irregular and preview as JSON, `spectra` is the state of the file of
-    spectra."""
+    `irregular` and `known` are the fields irregular and preview as JSON, `spectra` the state of the file of spectra."""
     if irregular == known == "{}":
         return None, None
     if known == "{}":

@@ -100,8 +100,7 @@ def peaks(
 ) -> dict:
     """Measure, or read from the store, the largest sensitivity of a controller with tuning `parameters` at a speed
     (km/h). Returns a dict: peak_sensitivity (max |S|) and disk_margin (-); inf and 0 if the loop is unstable or a run
-    fails. `controller` is a key of `registry.CONTROLLERS`, `sensed` says whether it has sensors, `vehicle` is the car,
-    default data/vehicle.toml."""
+    fails. `controller`: key of `CONTROLLERS`; `sensed`: whether it has sensors; `vehicle` None: data/vehicle.toml."""
     read = parameters, CONTROLLERS[controller].quick, speed_kmh, load_loop() if sensed else None
     key = store.key(__name__, "peaks", controller.removesuffix("_swarm"), *read, vehicle or load_vehicle())
     return store.entry(key, lambda: work(_peaks, controller, parameters, speed_kmh, sensed, vehicle))[0]
@@ -127,8 +126,7 @@ def smallest(
     vehicle: Vehicle | None = None,
 ) -> float:
     """Smallest disk margin (-) over speeds of a controller (key of `CONTROLLERS`) with tuning `parameters`; the first
-    below `least` ends the search; inf without speeds. `sensed` says whether it has sensors, `vehicle` is the car,
-    default data/vehicle.toml."""
+    below `least` ends the search. inf without speeds. `sensed`: with sensors; `vehicle` None: data/vehicle.toml."""
     margin = float("inf")
     for speed in speeds_kmh:
         margin = min(margin, peaks(controller, parameters, speed, sensed, vehicle)["disk_margin"])

@@ -78,8 +78,8 @@ class Swarm:
         return {d.name: d.value(x) for d, x in zip(self.dimensions, position, strict=True)}
 
     def tell(self, costs: Sequence[float]) -> None:
-        """Take the costs of the parameter sets of the last `ask`, in their order, and move the particles. A cost of inf
-        or NaN is worst. InputError for -inf, for what is no number, and for another number of costs."""
+        """Take the costs of the sets of the last `ask`, in their order, and move the particles. inf and NaN are worst.
+        InputError for -inf, for a cost that is not of a numeric type, and unless each particle has a cost."""
         given, n = list(costs) if isinstance(costs, Iterable) else [costs], len(self.dimensions)
         wrong = [cost for cost in given if not isinstance(cost, numbers.Real) or cost == -math.inf]
         if wrong or len(given) != len(self.position):
@@ -136,13 +136,13 @@ def minimise(
     start: dict[str, float] | None = None,
     title: str = "",
 ) -> Swarm:
-    """Minimise a cost by a particle swarm; returns the swarm with its `best` set, `cost` and `history`. InputError when
-    no cost is finite, and for -inf, what is no number, or another number of costs than particles.
+    """Minimise a cost by a particle swarm; returns the `Swarm` with `best`, `cost` and `history`. InputError for wrong
+    arguments, costs that `Swarm.tell` refuses (-inf, not numeric, not one per particle), and if none is finite.
 
     Args:
         evaluate (callable): Takes two lists, a parameter set (dict) and a limit per particle, and returns a list of
-            costs. The limit is the lowest cost of the particle so far, at first inf. A cost above it may be any larger
-            number; one that is not finite is worst.
+            costs. The limit is the lowest cost of the particle so far, at first inf. For a cost above its limit any
+            other number above the limit will do. inf and NaN are the worst costs.
         dimensions (list of Dimension): Searched parameters.
         particles, iterations (int): Size of the swarm, and largest number of its moves.
         seed (int): Seed of the random numbers.

@@ -106,10 +106,9 @@ class RunEntry:
 @data.table
 class SettingEntry:
     """Tuning with exact measurements ("paper") or sensors ("loop"), as in data/tuning.toml. `sensors`: whether there
-    are sensors. `runs`: names of the simulated runs whose mean cost judges a parameter set. The other fields map
-    controller -> parameter -> value: `designed` has parameters chosen by hand; `rule` parameters of NDI controllers
-    besides the poles, which a search makes as fast as the least disk margin permits; `start` the first particle of a
-    swarm."""
+    are sensors. `runs`: names of the simulated runs whose mean cost judges a parameter set. The others map controller
+    -> parameter -> value: `designed` has parameters chosen by hand; `rule` those of NDI controllers besides the poles,
+    which a search makes as fast as the least disk margin permits; `start` the first particle of a swarm."""
 
     sensors: StrictBool
     runs: Annotated[tuple[str, ...], NOT_EMPTY]

@@ -192,10 +192,9 @@ class WheelRail:
 
 @data.table
 class AdhesionSet:
-    """Adhesion set: parameters of Polach's creep law for one state of the rail. The reduction factors k_a in the area
-    of adhesion and k_s in that of slip (-) make the creep stiffness at zero creepage (k_a + k_s)/2 times Kalker's; a
-    k_s above k_a counts as k_a. The friction coefficient is mu0 ((1 - a_ratio) exp(-b_decay w) + a_ratio) at a slip
-    speed w (m/s)."""
+    """Adhesion set: parameters of Polach's creep law for one state of the rail. Reduction factors k_a in the area of
+    adhesion and k_s in that of slip (-) make the creep stiffness at zero creepage (k_a + k_s)/2 times Kalker's; k_s
+    above k_a counts as k_a. Friction coefficient: mu0 ((1 - a_ratio) exp(-b_decay w) + a_ratio), slip speed w (m/s)."""
 
     k_a: Annotated[float, Parameter(0.0, 1.0, "-")]
     k_s: Annotated[float, Parameter(0.0, 1.0, "-")]
@@ -273,8 +272,7 @@ class Vehicle:
 def load_vehicle(path: Path | str | None = None, **overrides) -> Vehicle:
     """Read the parameters of a vehicle in a TOML file, by default data/vehicle.toml. InputError for a wrong file, key
     or value. `overrides` replace values of the file (SI) by dotted key, as in `load_vehicle(**{"wheel.radius": 0.43,
-    "adhesion.poor.mu0": 0.12})`. A warning tells that "wheel.cone_angle" does not change wheels with another profile
-    than "cone"."""
+    "adhesion.poor.mu0": 0.1})`. A warning tells if "wheel.cone_angle" changes no wheel (profile not "cone")."""
     vehicle = loaded(Vehicle, data.location(path, paths.source("data/vehicle.toml")), overrides)[0]
     if "wheel.cone_angle" in overrides and vehicle.contact.profile != "cone":
         reason = f"the wheels of the car have the profile {vehicle.contact.profile}"
@@ -285,7 +283,8 @@ def load_vehicle(path: Path | str | None = None, **overrides) -> Vehicle:
 def loaded(kind: type, file: Path, overrides: dict) -> tuple[Any, dict[str, dict]]:
     """Read a file of parameters with unit and source (`Entry`). Returns the values as an instance of the `data.table`
     class `kind`, and a dict: dotted key such as "wheel.radius" -> its entry as a dict. `overrides`, dotted key -> value
-    (SI), replace values of the file; their range becomes "fixed". InputError for a wrong file, key or value."""
+    (SI), replace values of the file. They are checked like these; the `range` of their entry, from which studies
+    sample, becomes "fixed" (not sampled). InputError for a wrong file, key or value."""
     content = data.read(file)
     entries = dict(_entries(content))
     for key, value in overrides.items():

@@ -72,8 +72,8 @@ class Horizon:
     the problem before.
 
     Attributes:
-        x_hat (ndarray, shape (6,)): State at which the problem starts: the measured one, with an observer its yaw
-            angle plus the observed creep angle (between heading and motion).
+        x_hat (ndarray, shape (6,)): State at which the problem starts: the measured one. If `settings.observer` is
+            above 0, its yaw angle is the measured one plus the observed creep angle (from heading to motion, rad).
         x_d, theta (ndarray, shapes (L + 1, 6), (L + 1, 9)): Forecast of desired states and track parameters.
         x, u (ndarray, shapes (L + 1, 6), (L,)): States and torques about which the model is linearised. After a solved
             sample of LTV-MPC: a ride along the centre line, y = 0 (not y*), u = 0. Of "gauss_newton", "ipopt": the

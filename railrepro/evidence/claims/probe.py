@@ -29,7 +29,7 @@ from railrepro.tuning.task import triple_pole
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 PARTS = ("curve", "curves", "sine", "loss", "brake")
-"""Usual groups of runs of a probe: curve entry on T3; on T1, T2, T4; sine at five speeds; loss of adhesion; braking."""
+"""Usual groups of runs: curve entry on track T3; on T1, T2, T4; sine at five speeds; loss of adhesion; braking."""
 ONCE = ("causes", "sudden", "share", "rails", "lags")
 """Groups of runs once per setting: creep and cones, sudden losses of adhesion, allocation, irregular rails, lags."""
 SEEDS = (101, 102, 103)  # of the sensor noise in nominal runs; tuning has others
@@ -77,9 +77,8 @@ def probe(world: ProbeSetup, parts: Iterable[str] = PARTS) -> dict[Key, float]:
 
 
 def nothing(scenario: Scenario) -> dict[str, float]:
-    """Compute metrics without guidance from the set point y* of a scenario, which must not be "none": a dict with
-    rmse_y and largest_error of a running gear that stays at y = 0 (m), and shortest_wave, the shortest period of y*
-    (m)."""
+    """Compute metrics without guidance from the set point y* of a scenario, which must not be "none": a dict (m) with
+    rmse_y and largest_error of a running gear that stays at y = 0, and shortest_wave, the shortest period of y*."""
     reference = scenario.reference()
     values = ca.DM(reference(np.arange(0.0, scenario.end_m, 0.1))).full()
     waves = [value for key, value in scenario.set_point.items() if key.startswith("period")]
@@ -421,7 +420,8 @@ def macro_slips(series: pd.DataFrame, peak: float, slip: float) -> dict[str, flo
     end. Returns counts: macro_slips that begin more than 0.135 s (a tenth of a wave of the set point) before the end;
     recovered, those of them in which, within 0.135 s, the base torque falls by a tenth and both slips are below `slip`
     once (all by the paper); approaches; approached, those in which the mean adhesion of the front wheels reaches 0.9
-    `peak` while neither exceeds `slip` (all by the paper). A last one of under 110 m that does not is left out."""
+    `peak` while neither exceeds `slip` (all by the paper). The last of several approaches is not counted if it is under
+    110 m long and does not reach 0.9 `peak`."""
     rows = series[series["front.p"] >= REACHED]
     time, torque = rows["t_s"].to_numpy(), rows["front.u_d"].to_numpy()
     beyond = (rows[["front_ri.sx", "front_le.sx"]].abs() > slip).any(axis=1).to_numpy()

@@ -20,7 +20,7 @@ class ProbeSetup(World):
 
     Attributes:
         amplitude_mm, period_start_m, period_end_m (float): Set point of Fig. 6: amplitude, first and last period.
-        clothoid_factor (float): Factor on the length of the clothoid of T3 (-).
+        clothoid_factor (float): Factor on the length of the clothoid of T3, the track with the curve of Fig. 6 (-).
         r_loss, r_brake (float): Factors on the weight R of NMPC in Fig. 8 and in Fig. 9 (-).
         r_second (float): Further factor on R for the second NMPC of Fig. 9 (-).
         brake_sweep (dict): Changed fields of the set point of Fig. 9, as {"period_end_m": 30.0}.
@@ -63,7 +63,7 @@ class ProbeSetup(World):
         return base.but(set_point=base.set_point | chosen)
 
     def stretched(self) -> Alignment | None:
-        """Track T3, the length of its clothoid multiplied by `clothoid_factor`; None when the factor is 1."""
+        """Alignment of track T3 with the length of its clothoid times `clothoid_factor`; None when the factor is 1."""
         if self.clothoid_factor == 1.0:
             return None
         straight, clothoid, *rest = alignments()["T3"].segments

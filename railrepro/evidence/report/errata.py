@@ -15,9 +15,9 @@ _TRIPLED = 2  # Relative change of the RMSE above which a run counts as lost
 
 def model_variants(scenarios: Sequence[Scenario], variants: Sequence[str]) -> pd.DataFrame:
     """Simulate NMPC with each of `variants` as its prediction model, and always also with the printed torque limit
-    (erratum D10: it leaves no torque to steer). A variant is "corrected", the printed errors that stay in the model, as
-    "D1" or "D1,D3", or "printed" (all). Returns one row of metrics per run (`run_all`) with the columns scenario,
-    variant ("D10" for the printed limit) and flange (whether a wheel touched its flange or lifted)."""
+    (erratum D10: it leaves no torque to steer). A variant is "corrected", or "printed" (all printed errors stay in the
+    model), or those that stay, as "D1" or "D1,D3". Returns one row of metrics per run (`run_all`) with the columns
+    scenario, variant ("D10" for the printed limit) and flange (whether a wheel touched its flange or lifted)."""
     changed = {variant: {"variant": variant} for variant in variants} | {"D10": {"yielding": False}}
     tried = [*product(scenarios, variants), *product(scenarios, ["D10"])]
     runs = [Experiment(s, "nmpc", {"variant": v}, options={"solver": "rti"}, changes=changed[v]) for s, v in tried]
@@ -42,11 +42,12 @@ def _table(experiments: list[Experiment], title: str) -> pd.DataFrame:
 
 def effects(variants: pd.DataFrame, linear: pd.DataFrame) -> pd.DataFrame:
     """Effect of each erratum, an error in the paper's equations, in each scenario: one row per pair, from tables of
-    `model_variants` and `linearisations`. Columns: id of the erratum, as "D1"; scenario; rmse_y and rmse_y_corrected,
-    RMSE of y with the printed and with the corrected equation (m); rmse_change and effort_change, relative change of
-    RMSE of y and RMS torque (-); lost (bool). A run is lost if it reaches flanges or its RMSE is more than three times
-    as large: its changes and rmse_y are NaN. If the RMSE more than doubles, two digits are kept, because rounding grows
-    in such runs. The changes of D8 (superelevation from the tangent of the angle) are 0: no run depends on it."""
+    `model_variants` (NMPC) and `linearisations` (D6, LTV-MPC). Columns: id of the erratum, as "D1" (or variant);
+    scenario; rmse_y and rmse_y_corrected, RMSE of y with the printed and with the corrected equation (m); rmse_change
+    and effort_change, RMSE of y and RMS torque with the printed equation over those with the corrected one, minus 1
+    (-); lost: with the printed equation flanges are reached, or the RMSE is above three times rmse_y_corrected. rmse_y
+    and both changes are NaN in a lost row; if the RMSE more than doubles, they have two digits, as rounding grows in
+    such runs. D8 (superelevation from the tangent of the angle) has changes of 0, as no run depends on it, else NaN."""
     is_corrected, controller = variants["variant"] == "corrected", linear["controller"]
     pairs = [
         (variants[~is_corrected].assign(id=variants["variant"]), variants[is_corrected]),

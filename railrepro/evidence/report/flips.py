@@ -1,6 +1,5 @@
-"""Verdicts that flip with answers to open questions: `python -m railrepro probe FILE.toml`. The questions to the
-paper's authors are about values that the paper does not print, as the poles of NDI. FILE.toml is a filled copy of
-data/answers.toml. Runs are repeated with the answers (`claims.probe`), with exact measurements."""
+"""Verdicts that flip with the authors' answers on values that the paper does not print: `python -m railrepro probe
+FILE.toml`, a filled copy of data/answers.toml. Runs are repeated with the answers, with exact measurements."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle
@@ -18,10 +17,12 @@ from railrepro.evidence.claims.setup import ProbeSetup, setup
 
 @data.table
 class Question:
-    """Open question to the authors of the paper about values that it does not print, one table of data/answers.toml.
-    `asks` is its text, `sets` names the parameters asked for, as "ndi:pole" (keys of `setup.setup`, or "column"),
-    `parts` the groups of runs (`probe.PARTS`) that depend on it. `answer` has a value (in `unit`) for each of `sets`,
-    or fewer, used in turn; () is no answer yet. InputError when their number does not divide that of the names."""
+    """Open question to the paper's authors about values that it does not print, one table of data/answers.toml. `asks`
+    is its text. `sets` names what the answer sets: parameters, as "ndi:pole" (keys of the argument `values` of
+    `setup.setup`), or "column", which has the answer "paper" (a designer set the poles of NDI) or "swarm" (a particle
+    swarm found them). `parts` are the groups of runs (`probe.PARTS`) that depend on it. `answer` has a value (in
+    `unit`) for each of `sets`, or fewer, used in turn; () is no answer yet. InputError if their number does not divide
+    that of `sets`."""
 
     asks: str
     sets: Annotated[tuple[str, ...], data.NOT_EMPTY]
@@ -35,9 +36,9 @@ class Question:
 
 
 def load(path: Path | str | None = None) -> dict[str, Question]:
-    """Read open questions to the paper's authors about values that it does not print: name -> `Question`. `path` is a
-    copy of data/answers.toml in which answers are filled in, by default this file, which has the questions without
-    answers. InputError if it is wrong, or if car, controllers or scenarios refuse an answer."""
+    """Read open questions to the paper's authors: name -> `Question`. `path` is a copy of data/answers.toml with
+    answers filled in, by default this file, which has none. InputError if it is wrong, or if car, controllers or
+    scenarios refuse an answer."""
     file = data.location(path, paths.source("data/answers.toml"))
     questions = data.build(dict[str, Question], data.read(file), file.name)
     for name in [name for name, question in questions.items() if question.answer]:
@@ -57,7 +58,7 @@ def _setup(answered: Iterable[Question]) -> ProbeSetup:
 def flips(answered: Mapping[str, Question]) -> pd.DataFrame:
     """Judge the paper's statements before and after answers to open questions, with exact measurements: one row per
     statement about metrics of runs. `answered` maps names to questions with an answer. Only the runs that depend on an
-    answer are simulated again. Columns id, statement (its text), before, after (`Statement.judge`)."""
+    answer are simulated again. Columns id, statement (its text), before, after (verdicts, as "not reproduced")."""
     probed = _setup(answered.values())  # refuses a value before anything runs
     needed = {part for question in answered.values() for part in question.parts}
     rows = probe.probe(probed, [part for part in probe.PARTS if part in needed])

@@ -217,8 +217,7 @@ def csv(relative: str) -> pd.DataFrame:
 
 def quantity(value: float, unit: str = "") -> str:
     """Text of an SI value and its `unit`: "mm" and "%" convert the value, any other unit, such as "m", is only added.
-    It has three significant digits below 100, from 100 on one decimal, without ".0"; "derailed" if it is infinite,
-    "n/a" for NaN."""
+    It has three significant digits below 100, else one decimal, without ".0"; "derailed" for inf, "n/a" for NaN."""
     if not np.isfinite(value):
         return UNKNOWN if np.isnan(value) else "derailed"
     shown = {"mm": 1e3, "%": 100.0}.get(unit, 1.0) * value

@@ -1,7 +1,5 @@
 """Closed loop with sensors, over seeds that tuning has not seen: LQG with preview, rivals, and the bound of `limit`.
-Kinds of runs in loop_table.csv: `loop`, the runs of tuning with other seeds; `stressed`, the stress of tuning; `held
-out`, conditions that tuning never sees; `irregular`, rails of two classes from 80 to 400 km/h. Errors count from the
-set point at the true position of a running gear."""
+Errors count from the set point at the true position of a running gear."""
 
 from collections.abc import Sequence
 from itertools import product
@@ -79,9 +77,9 @@ def row(kind: str, case: str, scenario: str, change: dict, **more) -> list[Exper
 
 def limit_of(run: Experiment) -> dict:
     """Compute lower bounds (mm) of the RMS error y - y* that the sensors allow on the nominal car for a torque of 115 N
-    m RMS above 5 Hz (`limit.limit`). Returns a dict: limit_mm, with y* at the true track coordinate, and
-    limit_at_believed_place_mm, with y* at the measured one; {} unless the rails are ideal and dry and the label "kind"
-    of the `run` is "loop" (same conditions as in tuning)."""
+    m RMS above 5 Hz (`limit.limit`). Returns a dict: limit_mm, with the set point y* at the true track coordinate, and
+    limit_at_believed_place_mm, at the coordinate that the sensors measure; {} unless the rails are ideal and dry and
+    the label "kind" of the `run` is "loop" (same conditions as in tuning)."""
     scenario, loop = run.scenario, load_loop()
     if run.label["kind"] != "loop" or run.irregular or scenario.poor_share:
         return {}
@@ -106,7 +104,9 @@ def table(runs: Sequence[Experiment]) -> pd.DataFrame:
     driven, as "curve_entry_T3"; controller; seeds, number of runs; failed, number of failed runs. Over the seeds that
     did not fail: error_mm and rear_mm, root mean squares of the errors of front and rear running gear (mm); spread_mm,
     standard deviation of error_mm over the seeds; activity_Nm, mean RMS of the front differential torque above 5 Hz (N
-    m). limit_mm and limit_at_believed_place_mm, lower bounds of the error (mm) from `limit_of`, or NaN."""
+    m). From `limit_of`: limit_mm, lower bound of error_mm; limit_at_believed_place_mm, lower bound of the error from
+    the set point at the measured coordinate, where the controller believes it is (mm). Both are NaN unless kind is
+    "loop" and the rails are ideal and dry."""
 
     def driven(run: Experiment) -> dict:
         return run.label | {"controller": run.controller} | run.measured(followed)[0]

@@ -89,10 +89,10 @@ def draw(count: int, settings: Sequence[str] = COLUMNS) -> list[Sample]:
 
 def evaluate(sample: Sample) -> dict:
     """Adjust the tuning of the paper's three controllers to a sampled car, then simulate the runs that judge the
-    statements (those of `probe.ONCE` only for the first `LONG` samples), with another seed of the sensor noise than for
-    the tuning. Returns a dict. Keys: number and setting of the sample; profile of the wheels ("cone", "s1002"); ltv,
-    which stands for LTV-MPC ("ltv_mpc_printed"; "ltv_mpc", with affine term); each name in `Sample.values`;
-    "scenario/controller/metric", metrics (SI) of `probe.probe`."""
+    statements (those of `probe.ONCE` only for samples with a number below `LONG[setting]`), with another seed of the
+    sensor noise than for the tuning. Returns a dict. Keys: number and setting of the sample; profile of the wheels
+    ("cone", "s1002"); ltv, which stands for LTV-MPC ("ltv_mpc_printed"; "ltv_mpc", with affine term); each name in
+    `Sample.values`; "scenario/controller/metric", metrics (SI) of `probe.probe`."""
     world = sample.world(JUDGING)
     world = replace(world, parameters={name: _retuned(sample, name) for name in PAPER_TRIO})
     metrics = probe(world, (*PARTS, *ONCE) if sample.number < LONG[sample.setting] else PARTS)
@@ -197,7 +197,7 @@ BY_POLE = ("C04", "C05", "C17", "C20", "C31")  # statements that they may decide
 def over_poles() -> pd.DataFrame:
     """Judge five statements (`BY_POLE`) by triple pole of NDI (`POLES`) on the nominal car with exact measurements
     (setting "paper"). One row per pole and statement. Columns poles (rad/s, as text; "swarm" for the parameters found
-    by the swarm), id (of the statement), value (in the unit of the statement), verdict (of `Statement.judge`)."""
+    by the swarm), id (of the statement), value (in the unit of the statement), verdict, as "not reproduced"."""
     spread, known = Nominal().evidence(PAPER).spread, statements.load()
     worlds = {str(pole): setup({POLE: float(pole)}) for pole in POLES} | {SWARM: setup({}, SWARM)}
 
