@@ -48,9 +48,8 @@ def is_number(value: Any) -> bool:
 
 @dataclass(frozen=True)
 class Quantity:
-    """Unit and permitted range of a number x, the annotation of a field of type `float`, `int` or `Number`: low < x <=
-    high. With `closed`, x = low is permitted as well. With `signed`, |x| instead of x must be in the range, so that x
-    may also be negative."""
+    """Unit and permitted range of a number x, annotation of a field of type `float`, `int` or `Number`: low < x <=
+    high. With `closed`, x = low is permitted as well. With `signed`, |x| must be in the range."""
 
     low: float
     high: float
@@ -125,8 +124,7 @@ def _finite(value):
 
 
 def matching(pattern: str, needed: str) -> Any:
-    """Annotation of a text field that must match a regular expression completely. `needed` describes the permitted
-    texts in the error message."""
+    """Annotation of a text field that must match a regular expression completely. `needed` says what is permitted."""
 
     def checked(text: str) -> str:
         if not re.fullmatch(pattern, text):
@@ -164,9 +162,8 @@ def _known_keys(cls: type, value):
 
 @typing.dataclass_transform(frozen_default=True, field_specifiers=(field,))
 def table(cls: type) -> type:
-    """Class decorator: make a frozen dataclass whose constructor checks and converts its arguments by their
-    annotations, as `build` does with a file. InputError names class and field if a value is wrong or a field is unknown
-    or missing."""
+    """Class decorator: make a frozen dataclass whose constructor checks and converts arguments by annotations, as
+    `build` does with a file. InputError names class and field if a value is wrong, a field unknown or missing."""
     cls._known_keys = pydantic.model_validator(mode="before")(classmethod(_known_keys))  # type: ignore
     made: Any = dataclass(frozen=True)(cls)
     names = [one.name for one in fields(made)]
@@ -294,7 +291,7 @@ def alone(lock: Path) -> Iterator[None]:
 
 @contextmanager
 def scratch() -> Iterator[Path]:
-    """Context manager: make a temporary folder and remove it at the end; also those that killed processes left."""
+    """Context manager: make a temporary folder, removed at the end; first remove those of killed processes."""
     for left in Path(tempfile.gettempdir()).glob("railrepro-scratch-*"):
         with suppress(OSError), _locked(left):
             shutil.rmtree(left, ignore_errors=True)

@@ -72,8 +72,7 @@ def points(name: str, **options) -> dict:
 
 
 def figure_number(name: str) -> str:
-    """Number of a figure: "6" of "fig06_curve_entry", a figure of the paper; "6.1" of "fig0601_preview", the first
-    other one of chapter 06."""
+    """Number of a figure, "6" of "fig06_curve_entry" (paper), "6.1" of "fig0601_preview", one more of chapter 06."""
     digits = name.removeprefix("fig").split("_")[0]
     return ".".join(str(int(digits[i : i + 2])) for i in range(0, len(digits), 2))
 

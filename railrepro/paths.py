@@ -1,7 +1,7 @@
 """Paths of inputs and products, and the record of files that a notebook reads. The checkout is the folder above this
 package, or `RAILREPRO_ROOT`. An installed package has no checkout: it contains a copy of the inputs and writes to the
 working folder. If `RAILREPRO_OUTPUT` is set, `product` writes below that folder and `source` prefers files there. A
-notebook in JupyterLab writes below build/tried/NAME, as only the complete run of all notebooks renews the products."""
+notebook or IPython writes below build/tried/NAME, as only the complete run of all notebooks renews the products."""
 
 import os
 import sys
@@ -27,7 +27,7 @@ Value = TypeVar("Value")
 
 def product(relative: str) -> Path:
     """Return the path to write a product, such as "data/results/f.csv", and create its folder, not the file. It is
-    below the folder in the environment variable `RAILREPRO_OUTPUT`, else in a JupyterLab notebook below
+    below the folder in the environment variable `RAILREPRO_OUTPUT`, else in a notebook or IPython below
     build/tried/NAME of the checkout, else below `ROOT`, the checkout (or working folder)."""
     path = (_redirected() or ROOT) / relative
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -36,7 +36,7 @@ def product(relative: str) -> Path:
 
 def source(relative: str) -> Path:
     """Return the path from which an input or a product, such as "data/vehicle.toml", is read. The first folder that has
-    it counts: the one to which products are redirected, the installed package, the checkout."""
+    it counts: the one to which products are redirected, the installed package, else the checkout."""
     folders = [folder for folder in (_redirected(), _PACKAGE if INSTALLED else None) if folder]
     return next((folder / relative for folder in folders if (folder / relative).exists()), ROOT / relative)
 

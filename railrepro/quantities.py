@@ -44,8 +44,9 @@ def _members(of: Any) -> list[tuple[str, type | None, tuple[str, ...] | None, An
 
 
 def notes(of: type) -> list[tuple[str, Any]]:
-    """Return (name, unit) of all numbers in a dataclass of quantities, in order, such as ("front.y", "m"). A field that
-    is annotated by a `data.Quantity` has this as unit, one without annotation its type, an element of a list None."""
+    """Return (name, note) of all numbers in a dataclass of quantities, in order. The note is the `data.Quantity` (range
+    and unit) that annotates the field, as in ("front.y", between(-0.03, 0.03, "m")), or the unit as text, as in
+    ("front.phi", "rad"). Without annotation it is the type, for an element of a list None."""
     result: list[tuple[str, Any]] = []
     for name, inner, labels, note in _members(of):
         if inner:

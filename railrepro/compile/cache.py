@@ -37,8 +37,9 @@ WEBASSEMBLY = (
 
 @lru_cache(maxsize=1)
 def compiler() -> str:
-    """Find the C compiler: the one that the environment variable `CC` names, else the first installed of cc, gcc and
-    ziglang. Returns its path, or "ziglang" for this Python package. InputError if there is none."""
+    """Find the C compiler: the one that the environment variable `CC` names, or without this variable the first
+    installed of cc, gcc and ziglang. Returns its path, or "ziglang" for this Python package. InputError if there is
+    none, or if `CC` names one that is not installed."""
     given = os.environ.get("CC")
     for name in [given] if given else ["cc", "gcc", PACKAGED]:
         if command := found(name):

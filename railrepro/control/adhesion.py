@@ -70,12 +70,13 @@ class AdhesionSettings:
     active: StrictBool = True
 
     def base_torque(self, q: AdhesionInputs, memory: AdhesionMemory) -> tuple:
-        """Compute one cycle (1 ms) of the adhesion law of one running gear, with numbers or CasADi expressions. A wheel
-        is past its adhesion maximum if the rates of its filtered adhesion and slip have opposite signs, f' s' < 0,
-        where f and s count as positive in the direction of the demand. (With the sign of s that the paper prints, this
-        would hold before the maximum in traction.) Returns a tuple: the base torque per wheel (N m), the next
-        `AdhesionMemory`, and the segment of the law: 1 adhesion below the corridor, 2 inside, 3 above it or a wheel
-        past its maximum; also computed if not `active`. Source: eqs. (21), (22), (23), (25)."""
+        """Compute a cycle (1 ms) of the adhesion law of a running gear, with numbers or CasADi expressions. A wheel is
+        past its adhesion maximum if its filtered adhesion f and slip s, both positive in the direction of the demand,
+        change in opposite senses, f' s' < 0, with |s'| above the dead zone, and its slip is above 0. (With the sign of
+        s that the paper prints, this would hold before the maximum in traction.) Returns a tuple: the base torque per
+        wheel (N m), if not `active` that without slip control; the next `AdhesionMemory`; and the segment, also if not
+        `active`: 1 adhesion below the corridor, 2 inside, 3 above it or a wheel past its maximum. Source: eqs. (21),
+        (22), (23), (25)."""
         sign = ca.if_else(q.f_star < 0, -1, 1)
         pole = CONTROL_PERIOD / (self.filter_time + CONTROL_PERIOD)
         dead_zone = self.dead_zone * ca.fmax(1, self.noise_speed / ca.fmax(q.v, SLOWEST))

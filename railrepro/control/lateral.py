@@ -38,8 +38,7 @@ class TrackInputs:
     """Inputs of a 1 kHz law at the position of its gear: heading `psi_Tr`, superelevation `phi_Tr` and gradient
     `eps_Tr` of the track, heading `psi_CB` of the car body, set point `y_ref` of the lateral displacement. dX_dp is the
     derivative of X by the track coordinate p; dy_ref, ddy_ref and dddy_ref are the first three derivatives of y_ref by
-    p. `psi_CB` is not measured: it is the mean heading of the track at both gears, `dpsi_dp_CB` the mean curvature
-    there."""
+    p. `psi_CB` is not measured: it is the mean heading of the track at both gears, `dpsi_dp_CB` its mean curvature."""
 
     psi_Tr: Annotated[Scalar, "rad", "heading of the track"]
     dpsi_dp: Annotated[Scalar, "1/m", "curvature of the track"]

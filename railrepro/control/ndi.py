@@ -16,8 +16,8 @@ from railrepro.data import Quantity, above, between, table
 
 @table
 class NDI:
-    """Lateral law by dynamic inversion: its torque gives the lateral error linear third-order dynamics with chosen
-    poles.
+    """Lateral law by dynamic inversion, which `simulate.run` takes as it is: its method `torque` gives the lateral
+    error linear third-order dynamics with chosen poles.
 
     Attributes:
         pole (float): Magnitude of the real pole of the error dynamics (rad/s).
@@ -37,9 +37,8 @@ class NDI:
     """Names of the states: integral of the lateral error y* - y (m s)."""
 
     def gains(self) -> dict[str, float]:
-        """Gains of the law by name: k0 (1/s^3), k1 (1/s^2), k2 (1/s), ki (1/s^4), ff (-). The error dynamics have the
-        characteristic polynomial s^3 + k2 s^2 + k1 s + k0. ki multiplies the integral of the error. ff is 1 with
-        `rates`, else 0."""
+        """Gains of the law by name: k0 (1/s^3), k1 (1/s^2), k2 (1/s), ki (1/s^4), ff (-). The error has the
+        characteristic polynomial s^3 + k2 s^2 + k1 s + k0. ki is the integral gain. ff is 1 with `rates`, else 0."""
         w, z, a = self.frequency, self.damping, self.pole
         k0, k1, k2 = a * w**2, w**2 + 2 * z * w * a, 2 * z * w + a
         return {"k0": k0, "k1": k1, "k2": k2, "ki": self.integral * a * k0, "ff": float(self.rates)}

@@ -79,7 +79,7 @@ def lateral_excess(x, t: Tuning) -> tuple:
 
 
 def slack_on(side, x, t: Tuning):
-    """Excess (m) of y over one lateral bound at a state x (6,). `side` is 1: upper, -1: lower, 0: none, result 0."""
+    """Excess (m) of y over a lateral bound at a state x (6,), negative inside. `side`: 1 upper, -1 lower, 0 none."""
     return side * (x[Y] - side * t.lateral_bound)
 
 

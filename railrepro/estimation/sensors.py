@@ -63,7 +63,7 @@ def _upto(high: float, unit: str) -> Parameter:
 class Lateral:
     """Two sensors of the lateral displacement of a gear from the rails (m), one ahead of the axle and one behind it.
     `base` is their distance along the track, `noise` the standard deviation of a reading, `resolution` the step to
-    which it is rounded (0: none). A run draws its constant offset uniformly from [-bias, bias]."""
+    which it is rounded (0: none). A run draws the constant offset of each uniformly from [-bias, bias]."""
 
     base: Annotated[float, Parameter(0.1, 5.0, "m")]
     noise: Annotated[float, _upto(0.01, "m")]
@@ -74,8 +74,7 @@ class Lateral:
 @data.table
 class Rate:
     """Sensor of an angular velocity: gyroscope of a running gear or speed sensor of a wheel. `noise`: standard
-    deviation of a reading; `bias`: a run draws its constant offset from [-bias, bias]; `resolution`: step of rounding
-    (all rad/s)."""
+    deviation of a reading; `bias`: largest constant offset, drawn for a run; `resolution`: step of rounding (rad/s)."""
 
     noise: Annotated[float, _upto(0.1, "rad/s")]
     bias: Annotated[float, _upto(0.1, "rad/s")]
@@ -147,8 +146,8 @@ class Adhesion:
 
 @data.table
 class Loop:
-    """All between car and controllers: errors of the sensors, latencies, errors of the inverters, settings of the
-    filter that estimates states; `load_loop` reads it from data/sensors.toml."""
+    """All between car and controllers: errors of sensors, latencies, errors of inverters, settings of the filter of
+    states; `load_loop` reads it from data/sensors.toml. InputError if delays exceed 20 ms in all."""
 
     lateral: Lateral
     gyro: Rate
@@ -185,8 +184,8 @@ _RANGES = dict(notes(Loop))
 
 @dataclass(frozen=True)
 class Quality:
-    """Errors of the sensor of one signal in one run, in its unit: standard deviation of the noise, constant offset,
-    step of rounding (0: none)."""
+    """Errors of a signal's sensor in a run, in its unit: standard deviation of noise, offset, step of rounding (0:
+    none)."""
 
     noise: Scalar
     bias: Scalar
@@ -230,7 +229,8 @@ def load_loop(path: Path | str | None = None, **overrides) -> Loop:
 
 def readings(perfect: bool = False, seed: int = 0, **overrides) -> "Readings":
     """Make the `Readings` of a run with the data of data/sensors.toml, changed by `overrides` as in `load_loop`, for
-    one `seed` of noise and biases. With `perfect` the readings are exact and without delay."""
+    one `seed` of noise and biases. With `perfect` readings and commands are exact and without delay, but inverters keep
+    their errors."""
     loop = load_loop(**overrides)
     return Readings(loop.perfect() if perfect else loop, seed)
 
@@ -260,7 +260,7 @@ def sense(truth: Signals, ticks, gear: int, gain: SensorGains, memory: SensorMem
     """Read the sensors of a gear (0 front, 1 rear) in this control cycle. All numbers are of type SX. `truth` are the
     exact values, `memory` the last values of each signal after the previous cycle. `ticks` counts the control cycles
     from the start; at 0 the first reading fills the memory. Returns the delayed readings that reach the controller, and
-    the next memory as a dict: signal, such as "w_le" -> list of 21 values, newest first."""
+    the next memory as a dict: signal but p, such as "w_le" -> list of 21 values, newest first."""
     readings, lines = {}, {}
     for i, signal in enumerate(SIGNALS):
         quality = getattr(gain, signal)
@@ -278,13 +278,13 @@ def sense(truth: Signals, ticks, gear: int, gain: SensorGains, memory: SensorMem
 
 
 def delayed(line: list, cycles):
-    """Interpolate a list of values, one per control cycle (ms), newest first, `cycles` control cycles ago. Numbers or
-    SX."""
+    """Interpolate a list of values, one per cycle (ms), newest first, `cycles` control cycles ago. Numbers or SX."""
     return sum(ca.fmax(0, 1 - ca.fabs(cycles - k)) * value for k, value in enumerate(line))
 
 
 def received_torque(line: list, gain: SensorGains):
-    """Torque of a motor in this cycle (N m): delayed command of `line` (N m; one per ms, newest first) times gain."""
+    """Torque that a motor is given in this cycle (N m): torque_gain times the command in `line` (N m; one per ms,
+    newest first) of command + unknown_delay ms ago, interpolated. All three are fields of `gain`."""
     return gain.torque_gain * delayed(line, gain.command + gain.unknown_delay)
 
 

@@ -136,9 +136,8 @@ def entry(controller: str) -> str | Path:
 
 
 def ranked_seeds(of: str | Path) -> tuple[int, ...]:
-    """Seeds for `cases` whose scores rank a controller (`of` is a result of `entry`): the five `RANKED` for a
-    registered name; for a file five from its SHA-256, so that nobody can tune to them (any change except of line
-    endings gives other seeds)."""
+    """Seeds whose scores rank a controller (`of` is a result of `entry`): the five `RANKED` for a registered name; for
+    a file five from its SHA-256, so that nobody can tune to them (any change but of line endings gives others)."""
     if isinstance(of, str):
         return RANKED
     digest = hashlib.sha256(_SALT + of.read_bytes().replace(b"\r\n", b"\n")).digest()
@@ -179,14 +178,14 @@ def known_route(route: Route) -> Route:
 
 
 def drive(of: str | Path | type, case: Experiment) -> dict:
-    """Simulate a run of `cases` and return its row, a dict. `of` is a key of `registry.CONTROLLERS`, a class, or the
-    path of a Python file. The row has the labels of the run, controller (name), failure (one sentence, "" for a good
-    run) and metrics (SI). Of the front gear: error, RMS of y - y* (with sensors y is from the irregular rails);
-    effort_du, RMS differential torque; activity_du, its part above 5 Hz; utilisation of the adhesion limit;
-    stopping_distance. Of all wheels: y_over_q, largest wheel force ratio Y/Q; sum_y_over_limit, largest track shifting
-    force over its limit; wheel_unloading. comfort: index N_MV, less is better. A run whose controller raises an error
-    has no metrics. InputError when a file ended its process or took longer than 600 s, if the run is started by
-    `executor.ordered_map` with apart=True."""
+    """Simulate a run of `cases`; returns its row, a dict. `of` is a key of `registry.CONTROLLERS`, a class, or the path
+    of a Python file. The row has the labels of the run, controller (name), failure (one sentence, "" for a good run)
+    and metrics (SI). Of the front gear: error, RMS of y - y* (with sensors y from the irregular rails); effort_du, RMS
+    differential torque; activity_du, its part above 5 Hz; utilisation of the adhesion limit, only with a force demand;
+    stopping_distance, NaN unless the stop speed is reached. Of all wheels: y_over_q, largest wheel force ratio Y/Q;
+    sum_y_over_limit, largest track shifting force over its limit; wheel_unloading. comfort: index N_MV, less is better.
+    A failed run lacks most of them, or they are NaN; one whose controller raises an error has none. InputError when a
+    file ended its process or took over 600 s, if `executor.ordered_map` starts the run with apart=True."""
     head = case.label | {"controller": name_of(of), "failure": ""}
     if isinstance(of, Path):
         run = f"{of.name}: its run {case.label['scenario']} in the setting {case.setting}"
@@ -267,9 +266,9 @@ def ends_of_the_scale(case: Experiment) -> dict[str, float]:
     """Compute the costs J (-) that are worth 0 and 100 points in a run of `cases`, and the least error; a dict.
     nothing: cost of the run without guidance, worth 0; inf if it fails. best: cost worth 100. limit: least possible RMS
     lateral error (m). With exact measurements best is 0 and limit NaN. With sensors `uncertainty.limit` computes, for
-    dry rail and weak disturbances, the least error of any causal law whose differential torque has an RMS of 20, 50,
-    115 or 500 N m after a high-pass at 5 Hz. limit is the smallest of the four errors, best the smallest of the four
-    sums error / 1 mm + this torque / 4 kN m."""
+    dry rail, weak disturbances and the lowest speed of the run, the least error of any causal law whose differential
+    torque has an RMS of 20, 50, 115 or 500 N m after a high-pass at 5 Hz. limit is the smallest of the four errors,
+    best the smallest of the four sums error / 1 mm + this torque / 4 kN m."""
     row = drive(NOTHING, case)
     ends = {"nothing": float("inf") if row["failure"] else cost(row), "best": 0.0, "limit": float("nan")}
     if case.setting == PAPER:
@@ -340,8 +339,8 @@ def ranking(cards: pd.DataFrame) -> pd.DataFrame:
     Values are means over seeds, without the seed 1001, which is published for development: controllers may be tuned on
     it. Columns: "paper" and "loop", points (0 to 100) with exact measurements and with sensors; "ranked", the mean of
     both; "spread", standard deviation of ranked over the seeds; "margins", points in runs with more delay or a slower
-    drive; "runs failed", number of failed runs per seed; with sensors, RMS lateral error, its lower bound and RMS
-    differential torque, "error (mm), loop", "limit (mm), loop", "torque (N m), loop"."""
+    drive; "runs failed", number of failed runs of both settings per seed; "error (mm), loop", "limit (mm), loop" and
+    "torque (N m), loop", RMS lateral error, its lower bound and RMS differential torque with sensors."""
     cards = cards[cards["seed"] != PUBLISHED]
     totals = cards[(cards["setting"] == ALL) & (cards["metric"] == "score")].groupby("controller")["value"]
     mean = cards.pivot_table(index="controller", columns=["metric", "setting"], values="value")
@@ -355,8 +354,8 @@ def ranking(cards: pd.DataFrame) -> pd.DataFrame:
 def tuning_cost(of: type, setting: str, runs: Sequence[str]) -> Callable[[list[dict], list[float]], list[float]]:
     """Make the cost function with which `swarm.minimise` tunes a controller class `of`. `runs` are names of runs in
     data/tuning.toml for the `setting`, "paper" (exact measurements) or "loop" (sensors). The function takes a list of
-    dicts of gains and a limit of the cost for each, and returns a list with the mean cost over the runs (-) for each. A
-    cost above its limit is a lower bound: the remaining runs were left out."""
+    dicts of gains and a limit of the cost for each, and returns a list with the mean cost over the runs (-) for each,
+    or at least that of a failed run if the stability margin is too small. A cost above its limit is a lower bound."""
     name, task = _registered(of), load_task(setting=setting)
     chosen = replace(task, runs={each: task.runs[each] for each in task.runs if each in runs})
     return lambda sets, limits: [evaluate(name, chosen, *pair)[0] for pair in zip(sets, limits, strict=True)]

@@ -1,5 +1,4 @@
-"""What several chapters of the book use besides the facade: sentences with conditions, figures, source code, and the
-calibrated car."""
+"""What chapters of the book use besides the facade: sentences with conditions, figures, source code, calibrated car."""
 
 import ast
 import inspect

@@ -18,7 +18,7 @@ the car body (kg). Base torque is what both wheels of a gear have in common (N m
 
 @dataclass(frozen=True)
 class Forecast:
-    """What a predictive controller of one running gear expects at L time steps ahead (SI): desired states x_d, shape (L
+    """What a predictive controller of one running gear expects now and L steps ahead (SI): desired states x_d, shape (L
     + 1, 6), as `control_model.STATES`, and track parameters theta, shape (L + 1, 9), as `control_model.THETA`."""
 
     x_d: np.ndarray

@@ -1,1 +1,1 @@
-"""Controllers of this project without counterpart in the paper: LqgPreview with its model, and slip control."""
+"""Controller of this project without counterpart in the paper: LqgPreview, and its model of a running gear."""

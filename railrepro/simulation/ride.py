@@ -89,8 +89,8 @@ def rail_forces(normal, creep, angle, side: str, roll) -> tuple[np.ndarray, np.n
 
 
 def low_pass(values, rate: float) -> np.ndarray:
-    """Filter `values`, sampled at `rate` (Hz), without phase shift: by a Butterworth filter of second order, forwards
-    and backwards, in all -3 dB at 20 Hz, then 24 dB per octave. Source: EN 14363 (cut-off read, slope recalled)."""
+    """Filter wheel-rail forces, sampled at `rate` (Hz), without phase shift: by a Butterworth filter of second order,
+    forwards and backwards, in all -3 dB at 20 Hz, then 24 dB per octave. Source: EN 14363 (slope recalled)."""
     single = FORCE_CUTOFF / (np.sqrt(2) - 1) ** 0.25
     return scipy.signal.sosfiltfilt(scipy.signal.butter(2, single, fs=rate, output="sos"), values)
 
@@ -132,8 +132,8 @@ def weighting_filter(name: str, rate: float) -> np.ndarray:
     """Design the digital filter of the weighting "Wd" or "Wb" for a sampling rate (Hz), as second-order sections: band
     limits at 0.4 and 100 Hz (Butterworth, second order), the transition from acceleration to velocity and, for "Wb", an
     upward step, by the bilinear transform without pre-warping. At 1 kHz the weights are within 0.2 % of the analogue
-    ones up to 20 Hz, and within 4 % up to 80 Hz. Source: ISO 2631-1, annex A (read in the manual of a vibration
-    meter)."""
+    ones up to 20 Hz, and within 4 % up to 80 Hz. Source: form of ISO 2631-1, annex A (read in the manual of a vibration
+    meter); the numbers of Wb are those of EN 12299, not of ISO 2631-4."""
     transition, step, gain = WEIGHTINGS[name]
     low, high = (_quadratic(f, 1 / np.sqrt(2)) for f in (0.4, 100.0))
     slope = [gain / (2 * np.pi * transition), gain]

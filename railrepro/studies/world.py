@@ -24,7 +24,8 @@ class World:
 
     def experiment(self, scenario: Scenario, controller: str, parameters: dict | None = None, **more) -> Experiment:
         """Make the `Experiment` of a scenario with a controller (key of `registry.CONTROLLERS`) on this car.
-        `parameters` replace the controller's tuning parameters; `more` are further fields of `Experiment`."""
+        `parameters`, if not empty, take the place of all tuning parameters of the controller. `more` are further fields
+        of `Experiment`; entries of `vehicle` and `plant` are added to those of this `World`."""
         given = {"options": CONTROLLERS[controller].quick, "sensors": self.sensors, "setting": self.setting} | more
         given |= {name: getattr(self, name) | more.get(name, {}) for name in ("vehicle", "plant")}
         given["parameters"] = parameters or self.parameters[controller]

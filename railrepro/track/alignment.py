@@ -1,5 +1,4 @@
-"""Track alignments, and the entries of data/tracks.toml that describe them. Serves the paper's section Test Tracks
-(Table I)."""
+"""Track alignments, and the entries of data/tracks.toml that describe them. Serves the paper's Table I."""
 
 import math
 from dataclasses import dataclass
@@ -78,8 +77,9 @@ class CurveEntry:
 
 @data.table
 class SegmentEntry:
-    """Segment in data/tracks.toml: its length, and radius, superelevation and inclination at its end. A missing value
-    stays as at the end of the previous segment. A negative radius is a curve to the left, inf is straight."""
+    """Segment in data/tracks.toml: its length, and radius, superelevation (positive right side down) and inclination
+    (positive uphill) at its end. A missing value stays as in the segment before. A negative radius is a curve to the
+    left, inf is straight."""
 
     length_m: Annotated[Number, LENGTH]
     radius_m: Annotated[Number, RADIUS] | None = None

@@ -96,10 +96,10 @@ def irregularities(p: np.ndarray, spectrum: str = "erri_low", seed: int = 1) -> 
     positive), vertical_m (down positive), crosslevel_rad (right rail down positive) and gauge_m (wider positive).
 
     They are a sum of cosines with random phases and wavelengths of 3 to 100 m, faded in and out over 30 m at the ends.
-    The sum repeats after 4096 m, on a longer track after the next power of two. So all tracks up to 4096 m have the
-    same irregularities at the same p. Source: Shinozuka and Deodatis 1991, Applied Mechanics Reviews 44, 191. The track
-    coordinates p (m), shape (n,), increase by steps of up to 1.5 m. `spectrum` is as in `irregularity_spectrum`;
-    `seed`, 0 to 2^63, draws the phases.
+    The sum repeats after 4096 m, on a longer track after the next power of two. So all tracks up to 4096 m have, but
+    for the fading, the same irregularities at the same p. Source: Shinozuka and Deodatis 1991, Applied Mechanics
+    Reviews 44, 191. The track coordinates p (m), shape (n,), increase by steps of up to 1.5 m. `spectrum` is as in
+    `irregularity_spectrum`; `seed`, 0 to 2^63, draws the phases.
     """
     data.require("irregularities: seed", seed, SEED, whole=True)
     p = coordinates("irregularities", p, SHORTEST / 2)

@@ -36,8 +36,7 @@ class Dip:
 @data.table
 class AlignmentFault:
     """Lateral bulge of both rails: amplitude / 2 (1 - cos(2 pi (p - start) / length)), from the track coordinate
-    `start` over `length` (m). `amplitude` (m, positive to the right) is its peak, measured from the ideal track, not
-    from a chord."""
+    `start` over `length` (m). `amplitude` (m, positive to the right) is its peak over the ideal track."""
 
     start: _START
     length: _LENGTH
@@ -77,8 +76,7 @@ def _versine(p: np.ndarray, start: float, length: float, height: float) -> np.nd
 
 @data.table
 class Rough:
-    """Arguments of `rough_track`: local defects in the rails; name of the spectrum of the random irregularities; their
-    seed."""
+    """Arguments of `rough_track`: local defects in the rails; spectrum of the random irregularities; their seed."""
 
     defects: tuple[Annotated[Dip | AlignmentFault | LateralOffset, Field(discriminator="kind")], ...] = ()
     spectrum: str = "erri_low"

@@ -51,7 +51,7 @@ class Route:
             z (position). Irregularities: lateral, vertical, crosslevel, gauge. y_ref (set point), poor_le and poor_ri
             (share of the poor adhesion set on each rail), force (demand per gear). dkappa is the derivative of kappa
             over p, dy_ref, ddy_ref and dddy_ref are those of y_ref, and so on. Compiled code reads it; read-only.
-        length (float): Track coordinate at which a run ends (m), by default that of the end of the track.
+        length (float): Track coordinate at which a run ends (m), from `lay` that of the end of the track.
     """
 
     cells: np.ndarray
@@ -96,8 +96,7 @@ class Route:
         return np.array(track_in(self._named(p), p))
 
     def reference_at(self, p: np.ndarray) -> np.ndarray:
-        """Lateral set point at track coordinates p (m, shape (n,)), shape (3, n). The rows are y* (m), dy*/dp (-) and
-        d2y*/dp2 (1/m)."""
+        """Set point at track coordinates p (m, shape (n,)), shape (3, n). Rows: y* (m), dy*/dp (-), d2y*/dp2 (1/m)."""
         return np.array(reference_in(self._named(p), p))
 
 
@@ -192,8 +191,7 @@ def _geometry(track: Track) -> dict[str, np.ndarray]:
 def _curvature(ends: np.ndarray, mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Curvature at the start of n cells (1/m) and its slope (1/m2). `ends` is the curvature at the ends of the cells
     (1/m), shape (n + 1,), and `mean` its mean in each cell, shape (n,). A cell with a step or kink of curvature inside
-    gets a smaller slope than that between its ends, such that its mean curvature is `mean`. So the heading has no jump
-    at the next cell."""
+    gets a smaller slope than between its ends, such that its mean is `mean`. So the heading has no jump."""
     rise, low, high = np.diff(ends), np.minimum(ends[:-1], ends[1:]), np.maximum(ends[:-1], ends[1:])
     bent = np.abs(mean - (ends[:-1] + ends[1:]) / 2) > 1e-9
     margin = np.clip(np.minimum(mean - low, high - mean), 0, None)

@@ -51,8 +51,8 @@ def build_table(alignment: Alignment, step: float = STEP, heading: float = 0.0) 
 @dataclass(frozen=True, eq=False)
 class Track:
     """Track that interpolates in a table from `build_table`, exactly on straights, clothoids, arcs and cant ramps.
-    Before the first row the track is straight. After the last row it keeps curvature, cant and inclination of that row.
-    `design_speed` is in m/s, None if unknown."""
+    Before the first row the track is straight, after the last one it keeps the curvature; cant and inclination stay as
+    in that row. `design_speed` is in m/s, None if unknown."""
 
     name: str
     table: pd.DataFrame
@@ -65,8 +65,7 @@ class Track:
 
     @property
     def chainage(self) -> float:
-        """Value of p_m in the first row of the CSV (m); 0 without CSV. The chainage of a run is `track.chainage +
-        run.series["front.p"]`."""
+        """Value of p_m in the first row of the CSV (m); 0 without CSV. Add it to front.p of a run."""
         return self.table.attrs.get(_CHAINAGE, 0.0)
 
     @cached_property
@@ -192,9 +191,9 @@ def read_table(path: Path | str) -> pd.DataFrame:
     rad/m of the slope before the point, behind it or between the two.
 
     InputError for a missing, unknown or doubled column, a cell that is no number, points that do not increase, columns
-    that disagree, and values that point to a wrong unit: a track shorter than `SHORTEST`, a curvature above 0.02 1/m, a
-    cant above 0.3 rad or an inclination above 0.2 rad; a peak, whose magnitude exceeds those 2.5 m before and behind by
-    more than half of this limit.
+    that disagree, and values that point to a wrong unit: a track below 20 m or above 100 km, a curvature above 0.02
+    1/m, a cant above 0.3 rad or an inclination above 0.2 rad; a peak, whose magnitude exceeds those 2.5 m before and
+    behind by more than half of this limit.
     """
     file = data.location(path)
     text = _cells(file)

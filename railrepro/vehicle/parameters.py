@@ -91,8 +91,7 @@ class CarBody:
 class Gear:
     """Running gear: a wheel carrier with two wheels. Mass (kg), roll and yaw inertia (kg m2) include the wheels; pitch
     inertia includes their mass, but not their `spin_inertia`. `contact_base` is the lateral distance b of the contacts
-    (m), `axle_damping` the torque between the wheels over the difference of their speeds (N m s/rad), 0 for independent
-    wheels."""
+    (m), `axle_damping` the torque between the wheels over the difference of their speeds (N m s/rad), 0 for none."""
 
     mass: Mass
     inertia_x: Inertia
@@ -214,9 +213,9 @@ class Environment:
 
 @data.table
 class Vehicle:
-    """All parameters of the car: car body, running gear, wheel, suspension, motor, contact, adhesion, environment. All
-    running gears, wheels and motors are alike. `adhesion` maps names to parameters of the creep law for a state of the
-    rail; data/vehicle.toml has "dry", "poor", "very_poor" and "wet"."""
+    """All parameters of the car. All running gears, wheels and motors are alike. `adhesion` maps names to parameters of
+    the creep law for a state of the rail; data/vehicle.toml has "dry", "poor", "very_poor" and "wet". InputError unless
+    the gear's roll and yaw inertia exceed those of its wheels."""
 
     body: CarBody
     gear: Gear
@@ -272,9 +271,10 @@ class Vehicle:
 
 
 def load_vehicle(path: Path | str | None = None, **overrides) -> Vehicle:
-    """Read and check the parameters of a vehicle in a TOML file, by default data/vehicle.toml. InputError for a wrong
-    file, key or value. `overrides` replace values of the file (SI) by dotted key, as in
-    `load_vehicle(**{"wheel.radius": 0.43, "adhesion.poor.mu0": 0.12})`."""
+    """Read the parameters of a vehicle in a TOML file, by default data/vehicle.toml. InputError for a wrong file, key
+    or value. `overrides` replace values of the file (SI) by dotted key, as in `load_vehicle(**{"wheel.radius": 0.43,
+    "adhesion.poor.mu0": 0.12})`. A warning tells that "wheel.cone_angle" does not change wheels with another profile
+    than "cone"."""
     vehicle = loaded(Vehicle, data.location(path, paths.source("data/vehicle.toml")), overrides)[0]
     if "wheel.cone_angle" in overrides and vehicle.contact.profile != "cone":
         reason = f"the wheels of the car have the profile {vehicle.contact.profile}"

@@ -45,6 +45,8 @@ EDITS = [
     Edit("00", {"scenario_name": "sine_tracking", "end_m": 200.0}),
     Edit("00", {"scenario_name": "braking", "end_m": 20.0}, marks=True),
     Edit("00", texts=CONES),
+    Edit("00", cells={'"drive.lag": 1e-3': '"drive.lag": 5e-3'}, marks=True),
+    Edit("00", cells={'"wheel.spin_inertia": 1.0': '"wheel.spin_inertia": 60.0'}, marks=True),
     Edit("00", cells={'["ndi", "nmpc", "ltv_mpc"]': '["ndi", "nmpc", "ltv_mpc", "ndi_feedforward"]'}),
     Edit("00", cells={".but(end_m=end_m)": ".but(end_m=end_m, speed_kmh=330)"}),
     Edit("00", {"pole": 30.0}, cells={"return self.inertia * jerk / v": "return 1.5 * self.inertia * jerk / v"}),

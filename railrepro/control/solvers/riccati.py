@@ -76,8 +76,8 @@ class Horizon:
             angle plus the observed creep angle (between heading and motion).
         x_d, theta (ndarray, shapes (L + 1, 6), (L + 1, 9)): Forecast of desired states and track parameters.
         x, u (ndarray, shapes (L + 1, 6), (L,)): States and torques about which the model is linearised. After a solved
-            sample of LTV-MPC: a centred ride, u = 0. Of "gauss_newton", "ipopt": the solution, x[0] = x_hat. Of "rti":
-            the solution one step later, for the next sample; then x[0] and x_hat are the state predicted for it.
+            sample of LTV-MPC: a ride along the centre line, y = 0 (not y*), u = 0. Of "gauss_newton", "ipopt": the
+            solution, x[0] = x_hat. Of "rti": that one step later; x[0] and x_hat are the state predicted for it.
         plan (ndarray, shape (L,)): Differential torques that solve the problem (N m); plan[0] is applied. Without a
             solution it is the plan of the sample before, one step later.
         stages (ndarray, shape (L + 1,)): All stages as a structured array, `stage_t` of riccati.c.

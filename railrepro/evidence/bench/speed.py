@@ -77,11 +77,10 @@ def tightened(recording: Recording) -> Recording:
 
 
 def solve_all(kind: str, recording: Recording, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-    """Solve the n problems in order, each warm-started by the previous one as in closed loop. `kind`, one of `KINDS`,
-    is "gauss_newton" (Newton iterations of NMPC until convergence), "rti" (one of them), "ipopt" (NMPC by Ipopt) or
-    "ltv_mpc" (one linear time-variant problem). Returns a tuple: planned differential torques over the L steps of the
-    horizon (n, L) (N m); processor time per problem, with forecast and preparation (n,) (s); iterations (n,); number of
-    problems without a solution."""
+    """Solve the n problems in order, each warm-started by the one before. `kind`, one of `KINDS`, is "gauss_newton"
+    (Newton iterations of NMPC until convergence), "rti" (one of them), "ipopt" (NMPC by Ipopt) or "ltv_mpc" (one linear
+    time-variant problem). Returns a tuple: planned differential torques over the L steps of the horizon (n, L) (N m);
+    processor time per problem, with forecast and preparation (n,) (s); iterations (n,); number of unsolved problems."""
     first, torques = recording.problems[0], []
     limited = replace(vehicle, drive=replace(vehicle.drive, torque_limit=first.tau_max))
     given = limited, recording.route, 0, first.settings
@@ -116,9 +115,8 @@ def solve_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
 
 
 def horizon_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
-    """Measure solution times on curve entry T3 for horizons of 10 to 160 steps: one row per solver and length.
-    `settings` are those of NMPC except steps. Columns solver; steps; median_ms, time per problem (ms);
-    iterations_median."""
+    """Measure solution times on track T3 for horizons of 10 to 160 steps: a row per solver and length. `settings` are
+    those of NMPC, except steps. Columns solver; steps; median_ms, time per problem (ms); iterations_median."""
     rows = []
     for steps in tqdm((10, 20, 40, 80, 160), desc="horizons", unit="length"):
         recording = record("curve_entry_T3", replace(settings, steps=steps), vehicle, count=12)
@@ -173,8 +171,8 @@ def machine() -> str:
 
 def main() -> None:
     """Command `bench`: measure computation times and write two tables to data/results: solve_times.csv (columns of
-    `solve_times` and setting), once with the weights of NMPC tuned for exact measurements ("paper"), once with those
-    for sensors ("loop"), and horizon_times.csv with the former. Prints both, and `study_times`."""
+    `solve_times`, setting, machine), once with the weights of NMPC tuned for exact measurements ("paper"), once with
+    those for sensors ("loop"), and horizon_times.csv with the former. Prints both, and `study_times`."""
     vehicle, of = load_vehicle(), {name: mpc_settings(parameters("nmpc", name)) for name in SETTINGS}
     solvers = pd.concat([solve_times(vehicle, settings).assign(setting=name) for name, settings in of.items()])
     tables = {"solve_times": solvers, "horizon_times": horizon_times(vehicle, of[PAPER])}

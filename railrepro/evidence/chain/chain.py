@@ -38,8 +38,7 @@ class Notebook:
     """Notebook of the chain, a table [[notebook]] in notebooks/chain.toml. `name` is its file name without ending,
     `title` its heading, `writes` has the paths of its tables, `figures` the names of its figures (figNN_name),
     `parameters` the values of its parameters cell, and `test_parameters` other values for tests. `minutes` is its run
-    time (min), `memory_gb` the peak memory of its processes (GB, None if not measured), `seed` its random seed or
-    None."""
+    time (min), `memory_gb` the peak memory of its processes (GB, None if not measured), `seed` its seed or None."""
 
     name: data.Name
     title: str
@@ -155,7 +154,7 @@ def last_run(notebook: Notebook) -> dict[str, dict]:
 
 
 def why_stale(notebook: Notebook) -> str:
-    """Say why a notebook must run again: the first input or product that changed since its last run; "" if none did."""
+    """Say why a notebook must run again: what of machine, inputs, products first differs from its last run, or ""."""
     last = last_run(notebook)
     if not last:
         return "it has not run here"

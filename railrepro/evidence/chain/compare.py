@@ -42,8 +42,8 @@ def compare(committed: Path, rerun: Path, tolerance: Tolerance) -> pd.DataFrame:
     name; apart, the difference (-); outcome, "same", "within tolerance" or "different". The name of a cell is its
     column, as "delay_m"; in a column "value" beside a column "metric" or "quantity" it names the entry there, as "value
     of delay". Where no cells are compared, `name` is "the image", or what differs: "its rows or columns", "the size of
-    the image", "FILE, which is missing"; then `apart` is inf. In tables `apart` is relative to the largest magnitude
-    under the same name, in images it is the RMS of the levels (0 black, 1 white)."""
+    the image", "FILE, which is missing"; then `apart` is inf. In tables `apart` is relative to the largest committed
+    magnitude under the same name, inf for changed text; in images it is the RMS of the levels (0 black, 1 white)."""
     for path in (committed, rerun):
         if not path.exists():
             return _judged(f"{path.name}, which is missing", np.inf, 0.0)

@@ -22,7 +22,7 @@ from railrepro.studies.executor import ordered_map
 PARTS = ("curve", "sine", "loss", "brake")
 """Groups of runs that Figs. 6 to 9 show: curve entry, sine at five speeds, loss of adhesion, braking."""
 SIZES, DRAWS, SEED = (0.01, 0.03), 10, 2026
-"""Largest relative perturbations, number of draws of each, seed of the first one."""
+"""Largest relative perturbations; number of draws of each; seed, together with the number of the draw."""
 R_FACTORS = (0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0)
 """Factors on the weight R of NMPC (-), for which statements conflict."""
 
@@ -33,7 +33,7 @@ class Choice:
     data/paper_like.toml. `nominal` is the value of the uncalibrated car, `value` that of the calibrated car, a number,
     text or list in `unit`. `range` is the range in the literature, two numbers in `unit`, and `source` its source;
     "free" means that none was found or that the paper leaves the value open. The value was chosen for the `statements`
-    (ids); `why` says how it acts on them. ValueError if `nominal` or `value` is outside of `range`."""
+    (ids); `why` says how it acts on them. InputError if `nominal` or `value` is outside of `range`."""
 
     nominal: Any
     value: Any
@@ -53,7 +53,9 @@ class Choice:
 
 
 def load(path: Path | str | None = None) -> dict[str, Choice]:
-    """Read a TOML file of choices (default data/paper_like.toml): parameter -> `Choice`; InputError if one is wrong."""
+    """Read a TOML file of choices (default data/paper_like.toml): parameter of the calibrated car -> `Choice`, its
+    value fitted to the paper's statements, with nominal value, range and reason. InputError for a wrong file, field or
+    statement id, or if car, controllers or scenarios refuse the nominal or the fitted values."""
     file = data.location(path, paths.source("data/paper_like.toml"))
     choices, known = data.build(dict[str, Choice], data.read(file), file.name), statements.load()
     for name, choice in choices.items():
@@ -78,9 +80,9 @@ def cars() -> dict[str, ProbeSetup]:
 
 
 def judged(world: ProbeSetup, parts: Iterable[str] = PARTS) -> pd.DataFrame:
-    """Judge the paper's statements on a car with its controllers (`world`): one row per statement. Where controllers
-    differ by less than the scatter between tuning seeds, they are tied and the statement does not hold. `parts` are
-    names of groups of runs of `probe`, as "sine"; statements that need other runs have no row. Columns: statement (id);
+    """Judge the paper's statements on a car with its controllers (`world`): one row per statement. Controllers that
+    differ by less than the scatter between tuning seeds are tied, and the statement does not hold. `parts` names groups
+    of runs of `probe`, as "sine"; statements that need other runs or tables have no row. Columns: statement (id);
     value; above and below, its lower and upper limit (NaN for none); margin, distance to the nearer limit over this
     limit (not divided for a limit of 0), negative outside; holds, whether the statement is reproduced."""
     found, rows = statements.findings(Evidence(probe(world, parts), Nominal().evidence(PAPER).spread)), []
@@ -99,8 +101,8 @@ def judged(world: ProbeSetup, parts: Iterable[str] = PARTS) -> pd.DataFrame:
 
 def perturbed(choices: Mapping[str, Choice], size: float, draw: int) -> dict[str, Any]:
     """Change fitted parameters (`choices`) at random; returns name -> value. Fitted numbers that differ from their
-    nominal value are multiplied by 1 + `size` u, u uniform in [-1, 1] from the seed `draw`. Other values stay; k_a and
-    k_s of poor rail stay at most 1."""
+    nominal value are multiplied by 1 + `size` u, u uniform in [-1, 1], the same for each `size` with one number `draw`.
+    Other values stay; k_a and k_s of poor rail stay at most 1."""
     rng, values = np.random.default_rng([SEED, draw]), _values(choices)
     for name, choice in choices.items():
         if data.is_number(choice.value) and choice.value != choice.nominal:

@@ -35,8 +35,8 @@ class Nominal:
         return [column for column in COLUMNS if column in self._rows]
 
     def evidence(self, setting: str) -> Evidence:
-        """Return the metrics and tables of runs with a `setting`: "paper" (exact measurements), "swarm" (the same, but
-        poles of NDI by particle swarm) or "loop" (sensors); for "" only the tables that do not depend on it."""
+        """Return metrics and tables of runs with a `setting`: "paper" (exact measurements), "swarm" (the same, but
+        poles of NDI by particle swarm; tables as in "paper") or "loop" (sensors); for "" only tables without one."""
         if setting not in self._evidence:
             rows = self._rows.get(setting)
             known = ({}, {}) if rows is None else (tuned_metrics(rows), seeds_spread(rows))

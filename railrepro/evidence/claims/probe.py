@@ -29,7 +29,7 @@ from railrepro.tuning.task import triple_pole
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 PARTS = ("curve", "curves", "sine", "loss", "brake")
-"""Groups of runs in every probe: curve entry on T3; on T1, T2, T4; sine at five speeds; loss of adhesion; braking."""
+"""Usual groups of runs of a probe: curve entry on T3; on T1, T2, T4; sine at five speeds; loss of adhesion; braking."""
 ONCE = ("causes", "sudden", "share", "rails", "lags")
 """Groups of runs once per setting: creep and cones, sudden losses of adhesion, allocation, irregular rails, lags."""
 SEEDS = (101, 102, 103)  # of the sensor noise in nominal runs; tuning has others
@@ -66,7 +66,8 @@ def probe(world: ProbeSetup, parts: Iterable[str] = PARTS) -> dict[Key, float]:
     """Simulate the runs that judge the paper's statements, with the car and the controllers of `world`; returns
     metrics, (scenario, controller, metric) -> value (SI). `parts` are names of groups of runs: those of `PARTS`, such
     as "loss" (Fig. 8), judge each car; those of `ONCE`, such as "lags" (slow drives), only some. A failed run has the
-    metric `failed` = 1 and few others; rmse_y and stopping_distance of a braking run without a stop are inf."""
+    metric `failed` = 1 and few others; over a patch of poor rail ("sudden") it keeps all. Braking runs have no
+    `failed`: without a stop their rmse_y and stopping_distance are inf."""
     return {
         (scenario, controller, name): float(value)
         for part in parts
@@ -76,8 +77,9 @@ def probe(world: ProbeSetup, parts: Iterable[str] = PARTS) -> dict[Key, float]:
 
 
 def nothing(scenario: Scenario) -> dict[str, float]:
-    """Compute metrics of a scenario without guidance, from its set point y* alone: a dict with rmse_y and largest_error
-    of a running gear that stays at y = 0 (m), and shortest_wave, the shortest period of y* (m)."""
+    """Compute metrics without guidance from the set point y* of a scenario, which must not be "none": a dict with
+    rmse_y and largest_error of a running gear that stays at y = 0 (m), and shortest_wave, the shortest period of y*
+    (m)."""
     reference = scenario.reference()
     values = ca.DM(reference(np.arange(0.0, scenario.end_m, 0.1))).full()
     waves = [value for key, value in scenario.set_point.items() if key.startswith("period")]
@@ -92,17 +94,18 @@ def _unless_failed(run: simulate.Run, experiment: Experiment, names: Iterable[st
 
 
 def following(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Measure how the front running gear follows its set point: RMS error rmse_y, largest_error and
-    mean_error_last_third (m), RMS differential torque effort_du (N m), failed (0 or 1). Returns (dict, None)."""
+    """Measure how the front gear follows its set point: RMS error rmse_y, largest_error and mean_error_last_third (m),
+    RMS differential torque effort_du (N m), failed (0 or 1; if 1, the only key). Returns (dict, None)."""
     return _unless_failed(run, experiment, _FOLLOWING), None
 
 
 def entering(run: simulate.Run, experiment: Experiment) -> store.Entry:
     """Measure a run of Fig. 6 (curve entry). Returns a pair: a dict of metrics, and a DataFrame with every 10th row of
-    the run (`metrics.gear_series`). Keys: those of `following`; delay, distance by which y trails its set point y* (m);
-    shortfall, distance by which y stays inside the crests of y* (m); torque_step, mean differential torque over the
-    first wave of y* less that before it (N m); path_error, RMS yaw against the track over RMS heading of the track (-).
-    Of a failed run the dict has only failed = 1, and the DataFrame is None."""
+    the run (`metrics.gear_series`). Keys: those of `following`; delay, distance along the track by which y trails its
+    set point y* (m); `shortfall`, the distance by which y stays inside the crests of y*, where |y*| is above 5/6 of its
+    maximum, on the worse side (m); torque_step, the mean differential torque over the first wave of y* minus the mean
+    before this wave (N m); path_error, RMS yaw of the gear against the track over RMS heading of the track (-). Of a
+    failed run the dict has only failed = 1, and the DataFrame is None."""
     values, _ = following(run, experiment)
     if run.failed:
         return values, None
@@ -131,9 +134,9 @@ def losing(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def slipping(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Measure a run over a slippery patch (p = 300 to 500 m). Returns (dict, None). Keys: largest_slip of all wheels
-    (-); utilisation, mean adhesion of the left front wheel on the patch over the peak there (-); regular_deviation,
-    mean relative deviation of the adhesion from its set point before the patch, from 200 to 299 m (-); failed."""
+    """Measure a run over a slippery patch, p = 300 to 500 m. Returns (dict, None). Keys, even if it failed:
+    largest_slip of all wheels (-); utilisation, mean adhesion of the left front wheel there over the peak of this rail
+    (-); regular_deviation, mean relative deviation of the adhesion from its set point at 200 to 299 m (-); failed."""
     scenario, car, series = experiment.scenario, experiment.car(), metrics.gear_series(run.series, stride=10)
     patch = series[series["front.p"].between(*PATCH)]
     adhesion = float((np.sign(patch["front.f_star"]) * patch["front_le.adhesion"]).mean())
@@ -146,8 +149,9 @@ def slipping(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def riding(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Measure a run on irregular rails. Returns (dict, None): rail_rmse_y, RMS error from them (m); sum_y_over_limit,
-    track shifting force over its limit (-); n_mv_floor_front, comfort index of the front floor (-); failed."""
+    """Measure a run on irregular rails. Returns (dict, None): rail_rmse_y, RMS displacement from them (m);
+    sum_y_over_limit, largest track shifting force over its limit (-); n_mv_floor_front, comfort index of the front
+    floor (-); failed (0 or 1), of a failed run the only key."""
     return _unless_failed(run, experiment, ("rail_rmse_y", "sum_y_over_limit", "n_mv_floor_front")), None
 
 
@@ -350,8 +354,9 @@ _DRIVE: dict[str, Callable[[ProbeSetup], Measured]] = {
 
 
 def torque_step(series: pd.DataFrame) -> float:
-    """Compute the mean differential torque over the first wave of the set point less the mean before it (N m). `series`
-    has the columns front.y_ref and front.du. It begins at the first nonzero set point. NaN without a whole wave."""
+    """Compute the mean differential torque over the first wave of the set point minus the mean before it (N m).
+    `series` has the columns front.y_ref and front.du. The wave begins at the first nonzero set point and ends where the
+    second half wave does. If the run has no third half wave, only the first one counts; NaN if it has no second one."""
     reference = series["front.y_ref"].to_numpy()
     begin = int(np.argmax(reference != 0))
     first_half = reference * reference[begin] > 0
@@ -362,9 +367,9 @@ def torque_step(series: pd.DataFrame) -> float:
 
 
 def torque_shift(first: pd.DataFrame, second: pd.DataFrame) -> dict[str, float]:
-    """Compute how far along the track the differential torque of a run `second` lags behind that of a run `first`. Both
-    tables have the columns front.p and front.du. Returns a dict: ndi_later, the lag at which the torques correlate best
-    (m, -15 to 40, positive if `second` is later), and ndi_alike, their correlation at this lag (-)."""
+    """Compute how far along the track the differential torque of a run `second` lags that of a run `first`, between p =
+    75 and 525 m of `first`. Both have the columns front.p and front.du. Returns a dict: ndi_later, the lag of best
+    correlation (m, -15 to 40, positive if `second` is later), and ndi_alike, this correlation (-)."""
     grid = np.arange(60.0, 590.0, 0.25)
     one, other = (np.interp(grid, rows["front.p"], rows["front.du"]) for rows in (first, second))
     shifts = np.arange(-60, 161)
@@ -412,11 +417,11 @@ def deviation(series: pd.DataFrame, begin: float, end: float) -> float:
 def macro_slips(series: pd.DataFrame, peak: float, slip: float) -> dict[str, float]:
     """Count macro slips and approaches to the adhesion peak in a run of Fig. 8 from p = 240 m on. `series` is that of
     `metrics.gear_series`, `peak` and `slip` are adhesion and slip at the peak (-). A macro slip begins where the slip
-    of a wheel exceeds `slip`. An approach is the stretch from 240 m or a macro slip to the next macro slip or the end.
-    Returns a dict: macro_slips, number of macro slips that begin more than 0.135 s (a tenth of a wave of the set point)
-    before the end; recovered, number of them in which, within 0.135 s, the base torque falls by a tenth and the slip
-    falls below `slip` (all of them by the paper); approaches, their number; approached, number of those in which the
-    adhesion reaches 0.9 `peak` (all by the paper). A last one shorter than 110 m that does not reach it is left out."""
+    of a front wheel exceeds `slip`. An approach goes from 240 m or the begin of a macro slip to the next one or the
+    end. Returns counts: macro_slips that begin more than 0.135 s (a tenth of a wave of the set point) before the end;
+    recovered, those of them in which, within 0.135 s, the base torque falls by a tenth and both slips are below `slip`
+    once (all by the paper); approaches; approached, those in which the mean adhesion of the front wheels reaches 0.9
+    `peak` while neither exceeds `slip` (all by the paper). A last one of under 110 m that does not is left out."""
     rows = series[series["front.p"] >= REACHED]
     time, torque = rows["t_s"].to_numpy(), rows["front.u_d"].to_numpy()
     beyond = (rows[["front_ri.sx", "front_le.sx"]].abs() > slip).any(axis=1).to_numpy()
@@ -447,7 +452,7 @@ def adhesion_peak(scenario: Scenario, car: Vehicle) -> tuple[float, float]:
 
 
 def excessive_slip(scenario: Scenario, car: Vehicle) -> float:
-    """Find the largest slip (-) at which 0.9 of the adhesion peak (`adhesion_peak`) is left."""
+    """Find the largest slip (-), up to 1, at which 0.9 of the adhesion peak (`adhesion_peak`) is left."""
     (peak, best), (a, b, kalker) = adhesion_peak(scenario, car), middle_patch(car)
     slips, rail = np.geomspace(best, 1.0, 2000), astuple(car.adhesion[scenario.poor])
     contact = car.wheel_load, a, b, *kalker, car.contact.shear_modulus, *rail
@@ -459,7 +464,7 @@ def nominal(settings: Iterable[str] = COLUMNS) -> pd.DataFrame:
     """Simulate the runs that judge the statements on the nominal car: one row per metric of a run. Each of `settings`
     is "paper", "loop" (with sensors), or "swarm" ("paper" with poles of NDI by particle swarm). Columns scenario,
     controller, metric, value (in `unit`), unit, setting, swarm (rank of the parameters among tuning runs by cost, 0 the
-    final ones), seed (of the sensor noise; 0 without sensors)."""
+    final ones), seed (of the sensor noise; 0 without). Braking runs and those of `ONCE` occur once per setting."""
     tasks = []
     for setting in settings:
         seeds = SEEDS if setting == LOOP else (0,)

@@ -63,7 +63,7 @@ class ProbeSetup(World):
         return base.but(set_point=base.set_point | chosen)
 
     def stretched(self) -> Alignment | None:
-        """Track T3 with its clothoid stretched by `clothoid_factor`; None when the factor is 1."""
+        """Track T3, the length of its clothoid multiplied by `clothoid_factor`; None when the factor is 1."""
         if self.clothoid_factor == 1.0:
             return None
         straight, clothoid, *rest = alignments()["T3"].segments
@@ -102,7 +102,7 @@ def setup(values: Mapping[str, Any], column: str = PAPER, *, rank: int = 0, seed
         seed (int, optional): Seed of the sensors with "loop". Without it, and otherwise, controllers get true signals.
 
     InputError for an unknown key or column, or unless each factor (clothoid_factor, r_loss, r_brake, r_second,
-    ltv_mpc_printed.r) is above 0 and at most 1e6. `ProbeSetup.checked` checks other values.
+    ltv_mpc_printed.r) is above 0 and at most 1e6. `ProbeSetup.checked` checks other values and the names of parameters.
     """
     require("column", column, str)
     if column not in COLUMNS:

@@ -81,7 +81,8 @@ class Evidence:
     setting: str = ""
 
     def __call__(self, scenario: str, controller: str, metric: str) -> float:
-        """Return a metric (SI); of a failed run inf if less is better, else NaN. MissingEvidence if it is unknown."""
+        """Return a metric (SI); of a failed run inf for rmse_y, largest_error, delay, stopping_distance and
+        largest_slip, NaN for others, even if known. MissingEvidence if it is unknown."""
         if self.metrics.get((scenario, controller, "failed"), 0.0) > 0 and metric != "failed":
             return float("inf") if metric in _WORST_IS_INFINITE else float("nan")
         if (scenario, controller, metric) not in self.metrics:
@@ -99,7 +100,7 @@ class Evidence:
         raise MissingEvidence(f"{name}, {self.setting or 'no setting'}")
 
     def ratio(self, scenario: str, first: str, second: str, metric: str = "rmse_y") -> float:
-        """Divide a metric of the controller `first` by that of `second` (-); NaN if `second` failed."""
+        """Divide a metric of the controller `first` by that of `second` (-); NaN if that is infinite (failed)."""
         other = self(scenario, second, metric)
         return self(scenario, first, metric) / other if np.isfinite(other) else float("nan")
 
@@ -122,7 +123,7 @@ class Statement:
     limits. `statement` is what `section` of the paper claims, `paper` the number printed there. `evidence` is a figure,
     as "fig06_curve_entry", or the path of a table; `notebook` makes it. `control` names false results that the rule
     must refuse in a test, joined by "; ", such as "one controller thrice": LTV-MPC and NDI have the results of NMPC.
-    ValueError if the evidence does not exist, or for a statement without a limit."""
+    InputError if the evidence does not exist, or for a statement without a limit."""
 
     section: str
     statement: str
@@ -150,8 +151,8 @@ class Statement:
 
     def judge(self, finding: Finding) -> str:
         """Return the first verdict that applies. "reproduced": `finding.value` is between `above` and `below` by more
-        than a factor exp(tie). "tie": it is within this factor of a limit. "partly": `finding.weaker` (without it
-        `value`) is between `partly_above` and `partly_below` (without both: `above` and `below`). Else "not
+        than a factor exp(tie). "tie": it is within this factor of a limit. "partly": `finding.weaker` (`value` if None)
+        is by this factor between `partly_above` and `partly_below` (without both, of `above` and `below`). Else "not
         reproduced"."""
         limits = self.above, self.below
         if _within(finding.value, *limits, finding.tie):

@@ -21,7 +21,7 @@ class Question:
     """Open question to the authors of the paper about values that it does not print, one table of data/answers.toml.
     `asks` is its text, `sets` names the parameters asked for, as "ndi:pole" (keys of `setup.setup`, or "column"),
     `parts` the groups of runs (`probe.PARTS`) that depend on it. `answer` has a value (in `unit`) for each of `sets`,
-    or fewer, used in turn; () is no answer yet. ValueError when their number does not divide that of the names."""
+    or fewer, used in turn; () is no answer yet. InputError when their number does not divide that of the names."""
 
     asks: str
     sets: Annotated[tuple[str, ...], data.NOT_EMPTY]
@@ -56,8 +56,8 @@ def _setup(answered: Iterable[Question]) -> ProbeSetup:
 
 def flips(answered: Mapping[str, Question]) -> pd.DataFrame:
     """Judge the paper's statements before and after answers to open questions, with exact measurements: one row per
-    statement with a verdict, changed or not. `answered` maps names to questions with an answer. Only the runs that
-    depend on an answer are simulated again. Columns id, statement (its text), before, after (`Statement.judge`)."""
+    statement about metrics of runs. `answered` maps names to questions with an answer. Only the runs that depend on an
+    answer are simulated again. Columns id, statement (its text), before, after (`Statement.judge`)."""
     probed = _setup(answered.values())  # refuses a value before anything runs
     needed = {part for question in answered.values() for part in question.parts}
     rows = probe.probe(probed, [part for part in probe.PARTS if part in needed])

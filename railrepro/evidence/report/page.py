@@ -95,8 +95,7 @@ class Page:
 
     def render(self, template: str, **more) -> str:
         """Return the text made from a template, a file name in data/. It may use the notebooks (`chapters`), the
-        tolerances for products of a rerun against the committed ones (`verify`), captions of figures, and the values
-        `more`."""
+        tolerances of products of a rerun (`verify`), captions of figures, and `more`."""
         chain, captions = (data.read(paths.NOTEBOOKS / name) for name in ("chain.toml", "book/captions.toml"))
         more |= {
             "chapters": chain["notebook"],
@@ -113,8 +112,8 @@ class Page:
         return head + BEGIN + self._jinja.get_template("readme.md.j2").render() + END + tail
 
     def contract(self) -> pd.DataFrame:
-        """Table of claims.csv: `judged` without its column data, but with a column why: for a statement that fails, the
-        sentences of data/theses.toml with the role "why" that name it; else ""."""
+        """Table of claims.csv: `judged` without its column data, but with a column why: for a statement with data that
+        is not "reproduced", the sentences of data/theses.toml with the role "why" that name it; else ""."""
         reasons, table = self.sentences("why"), self.judged.drop(columns="data")
         why = pd.Series([" ".join(says for of, says in reasons if identity in of) for identity in table["id"]])
         fails = (self.judged["judged"] != statements.REPRODUCED) & (self.judged["data"] != "")
@@ -146,14 +145,14 @@ class Page:
 
     def e(self, setting: str, scenario: str, controller: str, metric: str) -> float:
         """Metric (SI) of a controller in a scenario, mean over sensor seeds in data/results/nominal_metrics.csv; of a
-        failed run inf if less is better, else NaN. `setting` says how controllers were tuned and run: "paper" (exact
+        failed run inf or NaN (`statements.Evidence`). `setting` says how controllers were tuned and run: "paper" (exact
         measurements), "swarm" (the same, but poles of NDI by particle swarm) or "loop" (sensors)."""
         return self.nominal.evidence(setting)(scenario, controller, metric)
 
     def q(self, setting: str, scenario: str, controller: str, metric: str, unit: str = "") -> str:
-        """Metric of a controller in a scenario as Markdown link "[value unit](data/results/nominal_metrics.csv)", three
-        digits; `unit` is "" (SI), "mm" or "%". `setting` says how controllers were tuned and run: "paper" (exact
-        measurements), "swarm" (the same, but poles of NDI by particle swarm) or "loop" (sensors)."""
+        """Metric of a controller in a scenario as Markdown link "[value unit](data/results/nominal_metrics.csv)" as
+        from `quantity`: `unit` is "", "mm", "%" or the SI unit. `setting` says how controllers were tuned and run:
+        "paper" (exact measurements), "swarm" (the same, but poles of NDI by particle swarm) or "loop" (sensors)."""
         return linked(self.e(setting, scenario, controller, metric), METRICS, unit)
 
     def sudden(self, metric: str, controller: str) -> list[float]:
@@ -199,8 +198,9 @@ class Page:
         return self.cell("settings_metrics", "value", metric="rmse_y", **where)
 
     def time(self, solver: str, column: str = "median_ms") -> float:
-        """Median over scenarios of a `column` of solve_times.csv (ms), the time of a `solver` ("ltv_mpc", or one of
-        NMPC such as "gauss_newton") for one optimal control problem, in runs with exact measurements."""
+        """Time of a `solver` ("ltv_mpc", or one of NMPC such as "gauss_newton") for one optimal control problem (ms):
+        median over scenarios of a `column` of solve_times.csv. The problems are those recorded with weights tuned for
+        exact measurements; scenarios whose name contains "bounds" (active bounds) are left out."""
         return float(statements.usual_times(self.nominal.evidence(PAPER), solver, column).median())
 
     def value(self, identity: str) -> str:
@@ -216,7 +216,9 @@ def csv(relative: str) -> pd.DataFrame:
 
 
 def quantity(value: float, unit: str = "") -> str:
-    """Text of an SI value with three digits in `unit` (SI, "mm" or "%"); "derailed" for inf, "n/a" for NaN."""
+    """Text of an SI value and its `unit`: "mm" and "%" convert the value, any other unit, such as "m", is only added.
+    It has three significant digits below 100, from 100 on one decimal, without ".0"; "derailed" if it is infinite,
+    "n/a" for NaN."""
     if not np.isfinite(value):
         return UNKNOWN if np.isnan(value) else "derailed"
     shown = {"mm": 1e3, "%": 100.0}.get(unit, 1.0) * value
@@ -244,7 +246,8 @@ def _linked_once(section: str) -> str:
 
 
 def number(value: float, unit: str = "") -> str:
-    """Value of a statement with unit, in three digits (four near 1); "a run failed" for inf, "no value" for NaN."""
+    """Text of the value of a statement with unit: three significant digits, four within 0.01 of 1 (as "1.23e+03",
+    unlike `quantity`); "a run failed" if it is infinite, "no value" for NaN."""
     if np.isnan(value):
         return "no value"
     shown = f"{value:.4g}" if abs(value - 1) < 0.01 else f"{value:.3g}"

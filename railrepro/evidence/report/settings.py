@@ -57,7 +57,7 @@ def experiments(
 def metrics(table: pd.DataFrame) -> pd.DataFrame:
     """Make the table of settings_metrics.csv, one row per run and metric, from the `table` that `run_all` returns for
     `experiments`, one row per run. Columns: scenario (the key of `CASES`), controller, metric, value (in `unit`), unit,
-    setting ("paper": exact measurements, "loop": sensors), swarm (seed of tuning), seed (of sensors)."""
+    setting ("paper": exact measurements, "loop": sensors), swarm (seed of tuning), seed (sensors). NaN has no row."""
     keys = ["scenario", "controller", "setting", "swarm", "seed"]
     wide = table.drop(columns="scenario").rename(columns={"case": "scenario"}).reindex(columns=[*keys, *_UNITS])
     tidy = wide.melt(keys, var_name="metric").dropna()

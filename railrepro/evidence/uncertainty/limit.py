@@ -57,11 +57,10 @@ class System(NamedTuple):
 
 
 def system(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float]) -> System:
-    """Build the linear system of a running gear at a constant speed (m/s) with the sensors `loop`. `walks` are the
-    intensities of the random walks of lateral force (N/s^0.5) and yaw moment (N m/s^0.5). States: displacement y and
-    lateral velocity vy; yaw angle psi and yaw rate r against the track; half the difference E of wheel speeds;
-    differential torque tau; force and moment; biases of y, psi, r; the last d + 1 torque commands, newest first, d the
-    delay (ms, at least 1)."""
+    """Build the linear system of a running gear at a speed (m/s) with the sensors `loop`. `walks` are the random walks
+    of lateral force (N/s^0.5) and yaw moment (N m/s^0.5). States: displacement y and lateral velocity vy; yaw angle psi
+    and yaw rate r against the track; half the difference E of wheel speeds; differential torque tau; force and moment;
+    biases of y, psi, r; the last d + 1 torque commands, newest first; d is the delay (ms, at least 1)."""
     h, n = CONTROL_PERIOD, len(STATES)
     rates, du, _, unknown = lateral_model(vehicle, speed)
     inputs = np.column_stack([du, unknown])
@@ -90,9 +89,9 @@ def system(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float
 
 def limit(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float], activity: float = ACTIVITY) -> float:
     """Compute the lower bound of the lateral error (m) of all causal laws with a given torque above 5 Hz. The error is
-    the standard deviation of y from the set point at the measured track coordinate. `activity` is the RMS of the
-    differential torque above 5 Hz (N m), `loop` are the sensors, `speed` is in m/s, `walks` are the intensities of the
-    random walks of lateral force (N/s^0.5) and yaw moment (N m/s^0.5)."""
+    the standard deviation of y from the set point at the measured track coordinate. `activity` is this torque (RMS, N
+    m), `loop` are the sensors, `speed` is in m/s, `walks` are the intensities of the random walks of lateral force
+    (N/s^0.5) and yaw moment (N m/s^0.5). ValueError if no weight of the torque (`at_weight`) gives the activity."""
     plant = system(vehicle, loop, speed, walks)
     log_weight = brentq(lambda log: np.log(at_weight(plant, 10.0**log)[2] / activity), -10.0, 0.0, xtol=1e-3)
     return at_weight(plant, 10.0**log_weight)[0]
@@ -100,8 +99,7 @@ def limit(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float]
 
 def at_weight(plant: System, weight: float) -> tuple[float, float, float]:
     """Compute standard deviations under the optimal law (`feedback`) for a `weight` (mm^2/(N m)^2) of the torque
-    change: y (m), the part that no torque removes, which is the error of the Kalman filter (m), torque above 5 Hz (N
-    m)."""
+    change: y (m), the part that no torque removes, the error of the Kalman filter (m), torque above 5 Hz (N m)."""
     p, m = np.zeros_like(plant.a), TORQUE  # the torques are known
     p[:m, :m] = solve_discrete_are(plant.a[:m, :m].T, plant.c[:, :m].T, plant.q[:m, :m], np.eye(len(plant.c)))
     innovation = plant.c @ p @ plant.c.T + np.eye(len(plant.c))
@@ -125,8 +123,9 @@ def feedback(plant: System, weight: float) -> np.ndarray:
 
 
 def at_true_position(error: float, slopes: np.ndarray, loop: Loop) -> float:
-    """Convert a bound `error` (m) from the set point at the measured track coordinate to one at the true coordinate.
-    The root of squares adds the standard deviation of the measured coordinate times the RMS of `slopes` dy*/dp."""
+    """Convert a bound `error` (m) from the set point at the measured track coordinate to one at the true coordinate:
+    the root of the sum of squares of `error` and of the bias of the measured coordinate (standard deviation, m) times
+    the RMS of `slopes` dy*/dp. The noise of the coordinate does not enter."""
     return float(np.hypot(error, loop.position.bias / np.sqrt(3) * np.sqrt(np.mean(np.square(slopes)))))
 
 

@@ -78,9 +78,10 @@ def row(kind: str, case: str, scenario: str, change: dict, **more) -> list[Exper
 
 
 def limit_of(run: Experiment) -> dict:
-    """Compute lower bounds (mm) of the RMS error y - y* that the sensors allow in a run (`limit.limit`). Returns a
-    dict: limit_mm, with y* at the true track coordinate, and limit_at_believed_place_mm, with y* at the measured one;
-    {} unless the rails are ideal and dry and the label "kind" of the run is "loop" (same conditions as in tuning)."""
+    """Compute lower bounds (mm) of the RMS error y - y* that the sensors allow on the nominal car for a torque of 115 N
+    m RMS above 5 Hz (`limit.limit`). Returns a dict: limit_mm, with y* at the true track coordinate, and
+    limit_at_believed_place_mm, with y* at the measured one; {} unless the rails are ideal and dry and the label "kind"
+    of the `run` is "loop" (same conditions as in tuning)."""
     scenario, loop = run.scenario, load_loop()
     if run.label["kind"] != "loop" or run.irregular or scenario.poor_share:
         return {}

@@ -66,7 +66,9 @@ class Sample:
     values: tuple[tuple[str, float], ...]
 
     def world(self, seed: int | None = None) -> ProbeSetup:
-        """Make a `ProbeSetup`: the sampled car, controllers not yet retuned to it; `seed` is of sensor noise."""
+        """Make the `ProbeSetup` of this sample: sampled car, choices of experiments and model of LTV-MPC; controllers
+        as tuned for the nominal car. `seed` is of the sensor noise in the setting "loop", and ignored in others. With
+        None controllers get true signals, also in "loop"."""
         v = dict(self.values)
         if _PROFILE in v:
             v["profile"] = ("cone", "s1002")[int(v.pop(_PROFILE))]
@@ -87,9 +89,10 @@ def draw(count: int, settings: Sequence[str] = COLUMNS) -> list[Sample]:
 
 def evaluate(sample: Sample) -> dict:
     """Adjust the tuning of the paper's three controllers to a sampled car, then simulate the runs that judge the
-    statements, with another seed of the sensor noise than for the tuning. Returns a dict. Keys: number and setting of
-    the sample; profile of the wheels ("cone", "s1002"); ltv, which stands for LTV-MPC ("ltv_mpc_printed"; "ltv_mpc",
-    with affine term); each name in `Sample.values`; "scenario/controller/metric", metrics (SI) of `probe.probe`."""
+    statements (those of `probe.ONCE` only for the first `LONG` samples), with another seed of the sensor noise than for
+    the tuning. Returns a dict. Keys: number and setting of the sample; profile of the wheels ("cone", "s1002"); ltv,
+    which stands for LTV-MPC ("ltv_mpc_printed"; "ltv_mpc", with affine term); each name in `Sample.values`;
+    "scenario/controller/metric", metrics (SI) of `probe.probe`."""
     world = sample.world(JUDGING)
     world = replace(world, parameters={name: _retuned(sample, name) for name in PAPER_TRIO})
     metrics = probe(world, (*PARTS, *ONCE) if sample.number < LONG[sample.setting] else PARTS)
