@@ -116,8 +116,7 @@ def _fix_layout(figure: Figure) -> None:
 
 
 def clip(axes: Iterable[Axes], low: float, high: float) -> None:
-    """Limit the ordinate of each of `axes` to low … high, and write above it the extreme values of its curves that lie
-    beyond these limits."""
+    """Limit the ordinate of each of `axes` to low … high; write the extremes of its curves beyond that above it."""
     for axis in axes:
         lines = [line for line in axis.lines if line.get_transform() == axis.transData]
         values = np.concatenate([np.asarray(line.get_ydata(), float) for line in lines])
