@@ -124,7 +124,8 @@ def clip(axes: Iterable[Axes], low: float, high: float) -> None:
         beyond = {"up to": (values.max(), values.max() > high), "down to": (values.min(), values.min() < low)}
         notes = [f"{word} {value:.2g}" for word, (value, outside) in beyond.items() if outside]
         look = {"xycoords": "axes fraction", "fontsize": 6.5, "ha": "right", "va": "bottom", "color": "0.2"}
-        axis.annotate(", ".join(notes).replace("-", "\N{MINUS SIGN}"), (1.0, 1.02), **look)
+        if notes:
+            axis.annotate(", ".join(notes).replace("-", "\N{MINUS SIGN}"), (1.0, 1.02), **look)
 
 
 def mark(axes: Sequence[Axes], names: Mapping[float, str]) -> None:
