@@ -38,7 +38,7 @@ class Statements:
         self._turned: dict[str, str] = {}
 
     def operation(self, kind: int, values: Sequence[str], wide: bool) -> str:
-        """Append a constant, the result of the operation `kind` (`ca.OP_…`) on these values, and return its name."""
+        """Append the C of a constant: operation `kind` (`ca.OP_…`) on names or numbers `values`; returns its name."""
         own = "lanes_" if wide else "own_"
         if kind in (ca.OP_SIN, ca.OP_COS):
             (angle,) = values

@@ -178,9 +178,9 @@ def check_arguments(controller: str, vehicle: Vehicle, route: Route, gear: int) 
 @dataclass(frozen=True)
 class Signature:
     """Equations of a 1 kHz law without the values of its gains. `text` is a serialised CasADi function of vectors (SI):
-    (gear, track, memory, gains, model) -> (du, next memory). Their entries have the order of `GEAR`, `ROAD`, the fields
-    `memory` and `gains`, and `MODEL`. `gains` and `memory` are the names of gains and states. Laws with equal
-    signatures share compiled code."""
+    (gear, track, memory, gains, model) -> (differential torque du, next memory). Their entries have the order of
+    `GEAR`, `ROAD`, the fields `memory` and `gains`, and `MODEL`. `gains` and `memory` are the names of gains and
+    states. Laws with equal signatures share compiled code."""
 
     text: str
     gains: tuple[str, ...]

@@ -186,5 +186,5 @@ class Problem:
 
     @property
     def bound(self) -> float:
-        """Largest |du| (N m): the motor's limit; without `yielding` what the base torque leaves of it, eq. (31)."""
+        """Largest |du| (N m), eq. (31): the motor's limit if the base torque gives way to du, else what it leaves."""
         return self.tau_max if self.settings.yielding else max(self.tau_max - abs(self.u_d), 0.0)

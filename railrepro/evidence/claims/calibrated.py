@@ -101,7 +101,7 @@ def judged(world: ProbeSetup, parts: Iterable[str] = PARTS) -> pd.DataFrame:
 
 def perturbed(choices: Mapping[str, Choice], size: float, draw: int) -> dict[str, Any]:
     """Change fitted parameters (`choices`) at random; returns name -> value. Fitted numbers that differ from their
-    nominal value are multiplied by 1 + `size` u, u uniform in [-1, 1], the same for each `size` with one number `draw`.
+    nominal value are multiplied by 1 + `size` u, each with its own u, uniform in [-1, 1], which depends on `draw` only.
     Other values stay; k_a and k_s of poor rail stay at most 1."""
     rng, values = np.random.default_rng([SEED, draw]), _values(choices)
     for name, choice in choices.items():

@@ -100,7 +100,7 @@ class Evidence:
         raise MissingEvidence(f"{name}, {self.setting or 'no setting'}")
 
     def ratio(self, scenario: str, first: str, second: str, metric: str = "rmse_y") -> float:
-        """Divide a metric of the controller `first` by that of `second` (-); NaN if that is infinite (failed)."""
+        """Divide a metric of controller `first` by that of `second` (-); NaN if that of `second` is not finite."""
         other = self(scenario, second, metric)
         return self(scenario, first, metric) / other if np.isfinite(other) else float("nan")
 

@@ -32,9 +32,9 @@ def experiments(
     """List the runs that compare the tuned controllers with perfect measurements ("paper") and with sensors ("loop").
     `names` are controllers. `cases` are keys of `CASES`, such as "curve_entry_T3": a scenario up to a coordinate.
     NDI controllers with poles by a swarm (`BY_SWARM`) run in "paper" only. A controller was tuned several times,
-    by one swarm per seed. It runs with the parameters of the `swarms` tunings of lowest cost (None: all). In "loop" the
-    best ones run with all `noise_seeds` of the sensors, others with the first. `scale` is a factor on the length of
-    runs (-). `stress` has changes of data/sensors.toml in cases that end with "stressed", as {"inverter.gain": 1.2}."""
+    by one swarm per seed. It runs with the sets of the `swarms` tunings of lowest cost (None: all). In "loop" the set
+    of lowest cost runs with all `noise_seeds` of the sensors, other sets with the first. `scale` is a factor on the
+    length of runs (-). `stress` changes data/sensors.toml in cases that end with "stressed": {"inverter.gain": 1.2}."""
     runs = []
     pairs = [pair for pair in product(SETTINGS, names) if pair[0] != LOOP or pair[1] not in BY_SWARM]
     for setting, name in pairs:

@@ -99,7 +99,7 @@ def limit(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float]
 
 def at_weight(plant: System, weight: float) -> tuple[float, float, float]:
     """Compute standard deviations under the optimal law (`feedback`) for a `weight` (mm^2/(N m)^2) of the torque
-    change: y (m), the part that no torque removes, the error of the Kalman filter (m), torque above 5 Hz (N m)."""
+    change per sample: y (m); error of the Kalman filter (m), which no torque removes; torque above 5 Hz (N m)."""
     p, m = np.zeros_like(plant.a), TORQUE  # the torques are known
     p[:m, :m] = solve_discrete_are(plant.a[:m, :m].T, plant.c[:, :m].T, plant.q[:m, :m], np.eye(len(plant.c)))
     innovation = plant.c @ p @ plant.c.T + np.eye(len(plant.c))
