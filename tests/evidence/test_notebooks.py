@@ -142,7 +142,6 @@ EDITS = [
     Edit("15_car", cells={"cross(body.w, inertia * body.w + [0, h, 0])": "cross(body.w, inertia * body.w)"}),
     Edit("16", {"sensed_kmh": [20]}, quick=True),
     Edit("16", {"sensor_changes": {"gyro.noise": 0.0004}}, marks=True),
-    Edit("16", {"sensor_changes": {"latency.measurement": 0.0}}),
 ]
 CASES = [
     pytest.param(edit, id=f"{edit.chapter}-{number}", marks=[] if edit.quick else pytest.mark.slow)

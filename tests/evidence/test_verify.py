@@ -15,10 +15,11 @@ own = [{ table = "02_two", column = "loose", rows = "a > 2", relative = 1e-2, wh
 """
 
 
-def test_one_failing_notebook_hides_nothing(tiny, capsys):
+@pytest.mark.parametrize("column", ["loose", "*"])
+def test_one_failing_notebook_hides_nothing(column, tiny, capsys):
     rows = "a,loose,seconds\n1,100{},{}\n3,200{},{}\n"
     write = f"paths.product('data/02_two').write_text({rows.format('.2', 1, '.5', 9)!r})"
-    write_chain(tiny, {"01_one": "assert False, 'odd'", "02_two": write}, VERIFY)
+    write_chain(tiny, {"01_one": "assert False, 'odd'", "02_two": write}, VERIFY.replace("loose", column, 1))
     committed = {"01_one": "a\n1\n", "02_two": rows.format("", 1, "", 2)}
     for name, text in committed.items():
         (tiny / "data" / name).write_text(text)

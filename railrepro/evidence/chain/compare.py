@@ -15,7 +15,7 @@ _SHARE = Annotated[data.Number, data.between(0.0, 1.0)]
 
 @data.table
 class Own:
-    """Tolerance for one `column` of a table, an item [[verify.own]] of notebooks/chain.toml. `table` is a file name,
+    """Tolerance for a `column` of a table, "*" for all, an item [[verify.own]] of chain.toml. `table` is a file name,
     `rows` a query of pandas that selects rows, `relative` the tolerance (-), `why` its reason."""
 
     table: str
@@ -88,6 +88,6 @@ def _column(table: pd.DataFrame, again: pd.DataFrame, column: str, file: str, to
     apart[same | (column in tolerance.not_compared)] = 0.0
     limit = np.full(len(table), tolerance.relative)
     for own in tolerance.own:
-        if (own.table, own.column) == (file, column):
+        if own.table == file and own.column in (column, "*"):
             limit[table.eval(own.rows, engine="python")] = own.relative
     return _judged(column if kind is None else f"{column} of " + kind, apart, limit)
