@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 from railrepro import figures
 from railrepro.evidence.claims import calibrated
-from railrepro.evidence.report.sentences import sentences
+from railrepro.evidence.report.sentences import checked, sentences
 
-__all__ = ["calibrated", "figures", "sentences", "source"]
+__all__ = ["calibrated", "checked", "figures", "sentences", "source"]
 
 
 def source(*of: Callable) -> None:

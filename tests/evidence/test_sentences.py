@@ -11,11 +11,12 @@ from railrepro.evidence.chain import chain
 from railrepro.evidence.report import sentences
 
 SAYS = """from railrepro import paths
-from railrepro.evidence.report.sentences import sentences
+from railrepro.evidence.report.sentences import checked, sentences
 paths.product("data/results/out.csv").write_text("a")
 with sentences() as says:
     says(f"The value is {value}.", value < 3)
-    says("One over it is positive.", 1 / value > 0)"""
+    says("One over it is positive.", 1 / value > 0)
+checked()"""
 
 
 def test_a_sentence_needs_all_of_its_conditions_and_one_at_least():
@@ -49,10 +50,12 @@ def test_changed_values_mark_a_sentence_and_the_chain_names_it(tiny, capfd):
     commit(tiny, SAYS)
     code, line = run(capfd)
     assert code == 0 and line.startswith("01_tiny: done in ")
-    assert shown(tiny).startswith("The value is 2. One over it is positive.\n\n<small>2 sentences checked")
+    assert shown(tiny).startswith("The value is 2. One over it is positive.<small>")
+    assert ": 2. False: none." in shown(tiny)
     write_notebook(tiny / "notebooks", ["", "value = 4", SAYS])
     assert run(capfd) == (0, "01_tiny: does not hold with these values: The value is 4.")
     assert shown(tiny).startswith(f"<mark>**{sentences.MARK}:** The value is 4.</mark> One over it")
+    assert ": 2. False: 1." in shown(tiny)
     write_notebook(tiny / "notebooks", ["", "value = 0", SAYS])
     assert run(capfd)[1].startswith("01_tiny: does not hold with these values: ")
     assert "need values that are missing (ZeroDivisionError: division by zero)" in shown(tiny)

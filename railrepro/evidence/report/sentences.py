@@ -9,6 +9,7 @@ import numpy as np
 MARK = "does not hold with these values"
 """Text before a false sentence in the output."""
 _KEY = "railrepro_false"  # Key of the false sentences in the metadata of an output
+_checked: list[bool] = []  # whether they held, all sentences of this session
 
 
 class Sentences(list):
@@ -23,8 +24,8 @@ class Sentences(list):
 @contextmanager
 def sentences() -> Iterator[Sentences]:
     """Collect sentences in a notebook cell (`with sentences() as says: says("…", holds)`) and display them at its end
-    as one paragraph with their count; those that do not hold are marked in words. A LookupError, ValueError or
-    ArithmeticError, as from a missing value, ends the block; a last, false sentence then names the error."""
+    as one paragraph; those that do not hold are marked in words. A LookupError, ValueError or ArithmeticError, as from
+    a missing value, ends the block; a last, false sentence then names the error."""
     from IPython.display import display  # not needed outside of notebooks
 
     said = Sentences()
@@ -33,12 +34,18 @@ def sentences() -> Iterator[Sentences]:
     except (LookupError, ValueError, ArithmeticError) as error:
         said.append((f"sentences from here on need values that are missing ({type(error).__name__}: {error})", False))
     false = [text for text, true in said if not true]
-    count = f"{len(said)} sentence{'s' * (len(said) > 1)} checked against the results"
-    count += f", {len(false)} of them false" if false else ""
+    _checked.extend(true for _, true in said)
     marked = " ".join(text if true else f"<mark>**{MARK}:** {text}</mark>" for text, true in said)
     plain = " ".join(text if true else f"[{MARK}: {text}]" for text, true in said)
-    shown = {"text/markdown": f"{marked}\n\n<small>{count}.</small>", "text/plain": f"{plain}\n({count}.)"}
-    display(shown, raw=True, metadata={_KEY: false} if false else {})
+    display({"text/markdown": marked, "text/plain": plain}, raw=True, metadata={_KEY: false} if false else {})
+
+
+def checked() -> None:
+    """Display, at the end of a chapter, how many sentences this session has checked and how many of them are false."""
+    from IPython.display import Markdown, display  # not needed outside of notebooks
+
+    text = f"Sentences about results checked so far: {len(_checked)}. False: {_checked.count(False) or 'none'}."
+    display(Markdown(f"<small>{text}</small>"))
 
 
 def false_in(cells: list[dict]) -> list[str]:
