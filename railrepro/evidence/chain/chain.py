@@ -328,11 +328,8 @@ def figures(names: Sequence[str] = ()) -> int:
     notebooks = chain()
     wanted = set() if names else set(notebooks)
     for name in names:
-        chosen = {
-            n.name
-            for n in notebooks.values()
-            if n.name.startswith(name) or any(name in (f, f.split("_")[0]) for f in n.figures)
-        }
+        chosen = {n for n in notebooks if n.startswith(name)}
+        chosen |= {n for n, one in notebooks.items() if any(name in (f, f.split("_")[0]) for f in one.figures)}
         if not chosen or not name:
             raise InputError(f"{name!r} is no notebook and no figure of chain.toml, such as 06 or fig06")
         wanted |= chosen

@@ -90,11 +90,8 @@ def judged(world: ProbeSetup, parts: Iterable[str] = PARTS) -> pd.DataFrame:
         if identity not in found:
             continue
         value = found[identity].value
-        margins = [
-            sign * (value / limit - 1 if limit else value)
-            for sign, limit in ((1, rule.above), (-1, rule.below))
-            if limit is not None
-        ]
+        limits = [(sign, limit) for sign, limit in ((1, rule.above), (-1, rule.below)) if limit is not None]
+        margins = [sign * (value / limit - 1 if limit else value) for sign, limit in limits]
         rows.append((identity, value, rule.above, rule.below, min(margins), rule.judge(found[identity]) == REPRODUCED))
     return pd.DataFrame(rows, columns=["statement", "value", "above", "below", "margin", "holds"])
 

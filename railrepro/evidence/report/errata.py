@@ -49,10 +49,8 @@ def effects(variants: pd.DataFrame, linear: pd.DataFrame) -> pd.DataFrame:
     and both changes are NaN in a lost row; if the RMSE more than doubles, they have two digits, as rounding grows in
     such runs. D8 (superelevation from the tangent of the angle) has changes of 0, as no run depends on it, else NaN."""
     is_corrected, controller = variants["variant"] == "corrected", linear["controller"]
-    pairs = [
-        (variants[~is_corrected].assign(id=variants["variant"]), variants[is_corrected]),
-        (linear[controller == "ltv_mpc_printed"].assign(id="D6"), linear[controller == "ltv_mpc"]),
-    ]
+    pairs = [(variants[~is_corrected].assign(id=variants["variant"]), variants[is_corrected])]
+    pairs += [(linear[controller == "ltv_mpc_printed"].assign(id="D6"), linear[controller == "ltv_mpc"])]
     values, suffixes = ["scenario", "rmse_y", "effort_du"], ("", "_corrected")
     merged = [printed.merge(corrected[values], on="scenario", suffixes=suffixes) for printed, corrected in pairs]
     effect = pd.concat(merged, ignore_index=True)

@@ -70,10 +70,8 @@ def flips(answered: Mapping[str, Question]) -> pd.DataFrame:
     spread = {key: value for key, value in known.spread.items() if key[1] not in stated}
     before = statements.findings(known)
     after = statements.findings(statements.Evidence(metrics | rows, spread))
-    found = []
-    for identity, rule in statements.load().items():
-        if identity in before and identity in after:
-            found.append((identity, rule.statement, rule.judge(before[identity]), rule.judge(after[identity])))
+    rules = [(name, rule) for name, rule in statements.load().items() if name in before and name in after]
+    found = [(name, rule.statement, rule.judge(before[name]), rule.judge(after[name])) for name, rule in rules]
     return pd.DataFrame(found, columns=["id", "statement", "before", "after"])
 
 

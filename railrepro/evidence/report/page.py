@@ -69,7 +69,9 @@ def main() -> int:
 class Page:
     """Functions and values for the Jinja templates of the report: REPLICATION.md, figures/README.md, README.md.
     `judged` are verdicts on the paper's statements from `claims.evaluate`, `nominal` metrics of runs of the nominal car
-    from data/results. In all methods `identity` is the id of a statement in data/claims.toml, as "C05"."""
+    from data/results. In all methods `identity` is the id of a statement in data/claims.toml, as "C05", and `setting`
+    says how controllers were tuned and run: "paper" (exact measurements), "swarm" (the same, but poles of NDI by
+    particle swarm) or "loop" (sensors)."""
 
     def __init__(self, judged: pd.DataFrame, nominal: Nominal):
         self.judged, self.nominal = judged, nominal
@@ -97,12 +99,8 @@ class Page:
         """Return the text made from a template, a file name in data/. It may use the notebooks (`chapters`), the
         tolerances of products of a rerun (`verify`), captions of figures, and `more`."""
         chain, captions = (data.read(paths.NOTEBOOKS / name) for name in ("chain.toml", "book/captions.toml"))
-        more |= {
-            "chapters": chain["notebook"],
-            "verify": chain["verify"],
-            "captions": captions,
-            "number": figure_number,
-        }
+        more |= {"chapters": chain["notebook"], "verify": chain["verify"]}
+        more |= {"captions": captions, "number": figure_number}
         return self._jinja.get_template(template).render(more)
 
     def readme(self, text: str) -> str:
@@ -145,14 +143,12 @@ class Page:
 
     def e(self, setting: str, scenario: str, controller: str, metric: str) -> float:
         """Metric (SI) of a controller in a scenario, mean over sensor seeds in data/results/nominal_metrics.csv; of a
-        failed run inf or NaN (`statements.Evidence`). `setting` says how controllers were tuned and run: "paper" (exact
-        measurements), "swarm" (the same, but poles of NDI by particle swarm) or "loop" (sensors)."""
+        failed run inf or NaN (`statements.Evidence`)."""
         return self.nominal.evidence(setting)(scenario, controller, metric)
 
     def q(self, setting: str, scenario: str, controller: str, metric: str, unit: str = "") -> str:
         """Metric of a controller in a scenario as Markdown link "[value unit](data/results/nominal_metrics.csv)" as
-        from `quantity`: `unit` is "", "mm", "%" or the SI unit. `setting` says how controllers were tuned and run:
-        "paper" (exact measurements), "swarm" (the same, but poles of NDI by particle swarm) or "loop" (sensors)."""
+        from `quantity`: `unit` is "", "mm", "%" or the SI unit."""
         return linked(self.e(setting, scenario, controller, metric), METRICS, unit)
 
     def sudden(self, metric: str, controller: str) -> list[float]:
@@ -161,15 +157,13 @@ class Page:
         return [self.e(PAPER, case, controller, metric) for case in statements.SUDDEN]
 
     def find(self, identity: str, setting: str) -> statements.Finding:
-        """Measured value of a statement, from data/results; MissingEvidence when metrics are missing. `setting` says
-        how controllers were tuned and run: "paper" (exact measurements), "swarm" (the same, but poles of NDI by
-        particle swarm), "loop" (sensors), or "" for a statement that depends on no tuned controller."""
+        """Measured value of a statement, from data/results; MissingEvidence when metrics are missing. `setting` may
+        also be "", for a statement that depends on no tuned controller."""
         return statements.find(identity, self.nominal.evidence(setting))
 
     def holds(self, identity: str, setting: str) -> bool:
-        """Whether a statement is reproduced. `setting` says how controllers were tuned and run: "paper" (exact
-        measurements), "swarm" (the same, but poles of NDI by particle swarm), "loop" (sensors), "" (no tuned
-        controller), or "calibrated" for the car that was fitted to the statements."""
+        """Whether a statement is reproduced. `setting` may also be "" (no tuned controller), or "calibrated" for the
+        car that was fitted to the statements."""
         if setting == "calibrated":
             return self.calibrated_car.get(identity) == "yes"
         return self.rules[identity].judge(self.find(identity, setting)) == statements.REPRODUCED
@@ -191,8 +185,7 @@ class Page:
         return rows.iloc[0]
 
     def tuned_rmse(self, controller: str, setting: str) -> float:
-        """RMSE of y (m) on track T3 with the parameters of the tuning run of least cost, from settings_metrics.csv. In
-        the `setting` "paper" a controller was tuned and runs with exact measurements, in "loop" with sensors."""
+        """RMSE of y (m) on track T3 with the parameters of the tuning run of least cost, from settings_metrics.csv."""
         seed = min(sets.load(controller, setting)["swarms"], key=lambda swarm: swarm["cost"])["seed"]
         where = {"scenario": "curve_entry_T3", "setting": setting, "controller": controller, "swarm": seed}
         return self.cell("settings_metrics", "value", metric="rmse_y", **where)
@@ -234,14 +227,8 @@ def linked(value: float | str, table: str, unit: str = "") -> str:
 
 def _linked_once(section: str) -> str:
     """Replace all but the first link to each file by their text."""
-    seen: set[str] = set()
-
-    def first(link: re.Match) -> str:
-        known = link[2] in seen
-        seen.add(link[2])
-        return link[1] if known else link[0]
-
-    return _LINK.sub(first, section)
+    first = {link[2]: link.start() for link in reversed([*_LINK.finditer(section)])}
+    return _LINK.sub(lambda link: link[0] if link.start() == first[link[2]] else link[1], section)
 
 
 def number(value: float, unit: str = "") -> str:

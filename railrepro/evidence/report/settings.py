@@ -5,7 +5,7 @@ from itertools import product
 
 import pandas as pd
 
-from railrepro.control.registry import BY_SWARM, CONTROLLERS, LOOP, SETTINGS
+from railrepro.control.registry import BY_SWARM, CONTROLLERS, INVERSIONS, LOOP, SETTINGS
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.studies.experiment import Experiment
 from railrepro.tuning import sets
@@ -45,12 +45,12 @@ def experiments(
             seeds = noise_seeds[: None if rank == 0 else 1] if setting == LOOP else [0]
             for case, seed in product(cases, seeds):
                 _, scenario, end, more = CASES[case]
-                stressed = stress if case.endswith("stressed") else {}
+                stressed = dict(stress) if case.endswith("stressed") else {}
                 sensors = {"seed": seed} if setting == LOOP else {"perfect": True} if stressed else {}
-                label = {"case": case, "setting": setting, "swarm": swarm["seed"], "seed": seed}
+                label = {"case": case, "setting": setting, "swarm": swarm["seed"], "best": rank == 0, "seed": seed}
                 short, quick = load_scenario(scenario).but(end_m=scale * end), CONTROLLERS[name].quick
-                more = more | {"sensors": sensors | dict(stressed)}
-                runs.append(Experiment(short, name, label, swarm["parameters"], quick, **more))
+                around = {**more, "sensors": sensors | stressed}
+                runs.append(Experiment(short, name, label, swarm["parameters"], quick, **around))
     return runs
 
 
@@ -60,6 +60,22 @@ def metrics(table: pd.DataFrame) -> pd.DataFrame:
     setting ("paper": exact measurements, "loop": sensors), swarm (seed of tuning), seed (sensors). NaN has no row."""
     keys = ["scenario", "controller", "setting", "swarm", "seed"]
     wide = table.drop(columns="scenario").rename(columns={"case": "scenario"}).reindex(columns=[*keys, *_UNITS])
-    tidy = wide.melt(keys, var_name="metric").dropna()
-    tidy = tidy.assign(unit=tidy["metric"].map(_UNITS))
+    tidy = wide.melt(keys, var_name="metric").dropna().assign(unit=lambda rows: rows["metric"].map(_UNITS))
     return tidy[["scenario", "controller", "metric", "value", "unit", "setting", "swarm", "seed"]]
+
+
+def errors(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the `table` of `run_all` for `experiments`, which tells by its column best whether the parameters are
+    those of lowest cost, with more columns: error_mm, RMS error of y (mm), with sensors on irregular rails from the
+    rails; lost, whether a wheel touched its flange or lifted. Its column controller gets the names of `by_swarm`."""
+    rough = (table["setting"] == LOOP) & (table["case"] == "T3_irregular")
+    error_mm = 1e3 * table["rmse_y"].mask(rough, table["followed_rmse_y"])
+    lost = table["failed"].astype(bool) | (table["warnings"] != "")
+    return table.assign(error_mm=error_mm, lost=lost, controller=by_swarm(table))
+
+
+def by_swarm(table: pd.DataFrame) -> pd.Series:
+    """Return the column controller of a table with a column setting: in "loop", where a swarm found the poles of every
+    inversion, "ndi" becomes "ndi_swarm"."""
+    found = (table["setting"] == LOOP) & table["controller"].isin(INVERSIONS)
+    return table["controller"].mask(found, table["controller"] + "_swarm")

@@ -111,11 +111,9 @@ def _retuned(sample: Sample, name: str) -> dict:
         return triple_pole(fastest_pole(name, task, given, (5, 80), world.car())) | given
     chosen = [run for key, run in task.runs.items() if key in ("T3", "sine", "poor")]
     base, costs = world.parameters[name], []
-    scales, scaled_names = (
-        ((0.1, 1, 10), ["r"]) if CONTROLLERS[name].preview else ((0.7, 1, 1.4), ["pole", "frequency"])
-    )
+    scales, keys = ((0.1, 1, 10), ["r"]) if CONTROLLERS[name].preview else ((0.7, 1, 1.4), ["pole", "frequency"])
     for scale in scales:
-        scaled = base | {key: base[key] * scale for key in scaled_names}
+        scaled = base | {key: base[key] * scale for key in keys}
         runs = [world.experiment(run.scenario, name, scaled).measured(driven)[0] for run in chosen]
         costs.append((sum(run_cost(run, task.cost) for run in runs), scale, scaled))
     least, tried = task.margin["least"], []
