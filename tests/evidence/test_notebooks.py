@@ -65,9 +65,8 @@ EDITS = [
     Edit("03", texts={VEHICLE: ("value = 0.025,", "value = 0.0125,")}),
     Edit("03", cells={" - Gamma * y**2 - r_0": " - r_0"}),
     Edit("03", cells={"J_W, w_ri, w_le = sp.diag(J_Wz, J_Wy, J_Wz)": "J_W, w_ri, w_le = sp.diag(J_Wy, J_Wy, J_Wy)"}),
-    Edit("04", {"steps": 12}),
+    Edit("04", {"bound_mm": 2.5}, marks=True),
     Edit("04", {"run_m": 150.0, "now_m": 400.0, "late_m": 200.0}, marks=True),
-    Edit("04", {"closed_loop_m": 200.0, "driven": ["sine_tracking"]}, marks=True),
     Edit("04", {"scenario_names": ["braking"], "weight_sets": 5}, marks=True, quick=True),
     Edit("04", {"scenario_names": [], "variants": ["D1"]}, marks=True),
     Edit("04", {"variants": ["corrected", "D2"], "scenario_names": ["curve_entry_T3", "sine_tracking"]}, marks=True),
@@ -142,6 +141,7 @@ EDITS = [
     Edit("15_car", cells={"cross(body.w, inertia * body.w + [0, h, 0])": "cross(body.w, inertia * body.w)"}),
     Edit("16", {"sensed_kmh": [20]}, quick=True),
     Edit("16", {"sensor_changes": {"gyro.noise": 0.0004}}, marks=True),
+    Edit("18", {"aside_mm": 5.0, "closed_loop_m": 200.0, "driven": ["sine_tracking"]}, marks=True),
 ]
 CASES = [
     pytest.param(edit, id=f"{edit.chapter}-{number}", marks=[] if edit.quick else pytest.mark.slow)
