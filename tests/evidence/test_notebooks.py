@@ -46,7 +46,7 @@ EDITS = [
     Edit("00", {"scenario_name": "braking", "end_m": 20.0}, marks=True),
     Edit("00", texts=CONES),
     Edit("00", cells={"in (0.0, 0.5, 3.0)": "in (0.0, 0.5, 1.0, 3.0)"}),
-    Edit("00", cells={"in (0.0, 0.5, 3.0)": "in (0.5, 1.0, 3.0)"}, marks=True),
+    Edit("00", cells={"in (0.0, 0.5, 3.0)": "in (1.0, 3.0)"}, marks=True),
     Edit("00", cells={'"wheel.spin_inertia": 1.0': '"wheel.spin_inertia": 60.0'}, marks=True),
     Edit("00", cells={'["ndi", "nmpc", "ltv_mpc"]': '["ndi", "nmpc", "ltv_mpc", "ndi_feedforward"]'}),
     Edit("00", cells={".but(end_m=end_m)": ".but(end_m=end_m, speed_kmh=330)"}),
