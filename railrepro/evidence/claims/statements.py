@@ -119,11 +119,12 @@ class Statement:
     """Statement of the paper with the rule that judges it, one table of data/claims.toml. Only the `kind` "statement"
     gets a verdict. Others are "calibrated" (a number of the paper that set a choice of ours), "motivation" (no result
     of the paper) and "arithmetic" (true of any data). A value (in `unit`) between `above` and `below` reproduces the
-    statement, a value between `partly_above` and `partly_below` does so partly. None is no limit. `reason` explains the
-    limits, `measured` names the value in a few words. `statement` is what `section` of the paper claims, `paper` the number printed there. `evidence` is a figure,
-    as "fig06_curve_entry", or the path of a table; `notebook` makes it. `control` names false results that the rule
-    must refuse in a test, joined by "; ", such as "one controller thrice": LTV-MPC and NDI have the results of NMPC.
-    InputError if the evidence does not exist, or for a statement without a limit."""
+    statement, a value between `partly_above` and `partly_below` does so partly. None is no limit. `measured` names the
+    value in a few words, `reason` explains the limits. `statement` is what `section` of the paper claims, `paper` the
+    number printed there. `evidence` is a figure, as "fig06_curve_entry", or the path of a table; `notebook` makes it.
+    `control` names false results that the rule must refuse in a test, joined by "; ", such as "one controller thrice":
+    LTV-MPC and NDI have the results of NMPC. InputError if the evidence does not exist, or for a statement without a
+    limit."""
 
     section: str
     statement: str
