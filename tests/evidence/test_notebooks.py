@@ -50,7 +50,7 @@ EDITS = [
     Edit("00", cells={'"wheel.spin_inertia": 1.0': '"wheel.spin_inertia": 60.0'}, marks=True),
     Edit("00", cells={'["ndi", "nmpc", "ltv_mpc"]': '["ndi", "nmpc", "ltv_mpc", "ndi_feedforward"]'}),
     Edit("00", cells={".but(end_m=end_m)": ".but(end_m=end_m, speed_kmh=330)"}),
-    Edit("00", {"pole": 30.0}, cells={"return self.inertia * jerk / v": "return 1.5 * self.inertia * jerk / v"}),
+    Edit("00", {"pole": 30.0}, cells={"return self.torque": "return 1.5 * self.torque"}),
     Edit("01", {"step_m": 5.0}, quick=True),
     Edit("01", texts={TRACKS: ("radius_m = 4250", "radius_m = 3000")}, marks=True),
     Edit("01", texts={TRACKS: ("clothoid_m = 423", "clothoid_m = 211.5")}, marks=True),
