@@ -3,7 +3,7 @@
 import json
 import re
 
-from railrepro import data, paths
+from railrepro import paths
 from railrepro.evidence.chain import book, chain
 
 TEXT = "# [Re] Tracks\n\n$$a = b \\tag{8}$$\n\n$$\\begin{align}a\\end{align}$$\n\nand `02_contact`"
@@ -30,11 +30,3 @@ def test_every_chapter_has_its_place_and_every_figure_its_caption():
     assert places == list(chain.chain())
     drawn = {figure for notebook in chain.chain().values() for figure in notebook.figures}
     assert drawn == set(re.findall(r"^(fig\w+) = ", (paths.NOTEBOOKS / "book/captions.toml").read_text(), re.MULTILINE))
-
-
-def test_the_first_page_counts_the_statements_that_are_judged():
-    kinds = [rule.get("kind", "statement") for rule in data.read(paths.DATA / "claims.toml").values()]
-    page = (paths.NOTEBOOKS / "book/index.md").read_text()
-    judged, others = kinds.count("statement"), len(kinds) - kinds.count("statement")
-    assert f"Only {judged} of these are judged, because {others} have no verdict" in page
-    assert f"Of the {judged} statements that we judge" in page

@@ -35,11 +35,11 @@ _LINK = re.compile(r"\[([^]]+)\]\(([^)]+)\)")
 class Thesis:
     """Sentence of the report with the conditions under which it is true, one table of data/theses.toml. `says` is the
     text, with Jinja expressions. It is shown if all Jinja conditions of `true` hold. `role` is its use: "summary";
-    "why", why the statements with the ids `of` fail; "holds_if", when they would hold; "readme"."""
+    "why", why the statements with the ids `of` fail; "holds_if", when they would hold; "readme", "readme_limits"."""
 
     says: str
     true: Annotated[tuple[str, ...], data.NOT_EMPTY]
-    role: Literal["summary", "why", "holds_if", "readme"]
+    role: Literal["summary", "why", "holds_if", "readme", "readme_limits"]
     of: tuple[str, ...] = ()
 
 
@@ -88,6 +88,7 @@ class Page:
         mark = {identity: MARKS.get(verdict) for identity, verdict in self.verdicts.items()}
         self._jinja.globals |= {"mark": mark, "marks": MARKS, "calibrated": on_calibrated, "settings": COLUMNS}
         self._jinja.globals |= {"task": load_task(), "choices": calibrated.load(), "csv": csv}
+        self._jinja.globals["horizons"] = data.read(paths.source("data/short_horizons.toml"))["search"]
         self._jinja.globals |= {"tuned": parameters, "load": sets.load, "scenario": load_scenario}
 
     def replication(self) -> str:
@@ -135,7 +136,7 @@ class Page:
         return {name: conditions for name, conditions in wrong.items() if conditions}
 
     def sentences(self, role: str) -> list[tuple[list[str], str]]:
-        """True sentences with a `role` ("summary", "why", "holds_if", "readme") as pairs (ids, text). `ids` are the
+        """True sentences with a `role` of `Thesis` as pairs (ids, text). `ids` are the
         statements that the sentence explains and that are not reproduced."""
         true = [thesis for thesis in theses().values() if thesis.role == role and all(map(self.true, thesis.true))]
         failing = [i for i, verdict in self.statements.items() if verdict != statements.REPRODUCED]
