@@ -110,8 +110,7 @@ CONTROLS: dict[str, Control] = {
     # both MPC follow their set point as late as NDI
     "delay of NDI": metrics(lambda e, s, c, m, v: e.metrics[s, NDI, m] if m == "delay" else v),
     "no slip control": no_slip_control,
-    # T3 without curve and cant: neither steady error nor gyroscopic torque
-    "straight track": metrics(
+    "straight track": metrics(  # T3 without curve and cant: neither steady error nor gyroscopic torque
         lambda e, s, c, m, v: 0.0 if s == T3 and m in (statements.DRIFT, "gyroscopic_share") else v
     ),
     # T1 needs the torque of T3
@@ -121,13 +120,11 @@ CONTROLS: dict[str, Control] = {
     "no unbalanced acceleration": table("table1", lambda t: t.assign(phi_deg=t["phi_deg"] + [0.0, 1.27, 2.53, 3.8])),
     "one code twice": with_times_of("gauss_newton"),
     "interpreted solver": with_times_of("ipopt"),
-    # problems of one track take five times as long
-    "a hard track": table(
+    "a hard track": table(  # problems of one track take five times as long
         "solve_times", lambda t: t.assign(median_ms=t["median_ms"].mask(t["scenario"] == T3, 5 * t["median_ms"]))
     ),
     "cause without effect": like_nmpc(statements.AS_MODELLED),
-    # profiles and creep triple the error
-    "cause decides": metrics(
+    "cause decides": metrics(  # profiles and creep triple the error
         lambda e, s, c, m, v: e.metrics[s, "nmpc", m] / 3 if c in (statements.CONES, statements.NO_CREEP) else v
     ),
     # a quarter of the bound, so that smaller steps are judged
@@ -135,8 +132,7 @@ CONTROLS: dict[str, Control] = {
     "step without effect": table("adhesion_law", lambda t: t.assign(rms_error=1.0)),
     "fixed share costs nothing": like_nmpc(statements.FIXED, but="share"),
     "base torque without effect": like_nmpc(statements.UNINFORMED),
-    # controllers without preview are as late as those with preview
-    "future without effect": metrics(
+    "future without effect": metrics(  # controllers without preview are as late as those with preview
         lambda e, s, c, m, v: (
             e.metrics[s, "nmpc", m]
             if c in (statements.RATES, statements.SHORT, statements.HELD) and m == "delay"

@@ -162,8 +162,7 @@ def patch(shift: float, vehicle: Vehicle) -> Patch:
     radii = radius + np.interp(at, position, height)
     mean, local = radii.mean(), np.sin(np.arctan(np.interp(at, position, rise)))
     nothing, one = np.zeros_like(x), np.ones_like(x)
-    # slip by spin follows from the radii along and the slope across the patch
-    turned = np.stack([1 - radii / mean, x * local / mean])
+    turned = np.stack([1 - radii / mean, x * local / mean])  # by spin: from radii along, slope across the patch
     forces = -sticking(x, y, np.array([[one, nothing], [nothing, one], turned]), data.poisson)
     spin = -np.sin(angle) / mean
     rolling = mean * (1 - forces[2, 0] / forces[0, 0])
