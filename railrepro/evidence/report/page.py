@@ -136,8 +136,8 @@ class Page:
         return {name: conditions for name, conditions in wrong.items() if conditions}
 
     def sentences(self, role: str) -> list[tuple[list[str], str]]:
-        """True sentences with a `role` of `Thesis` as pairs (ids, text). `ids` are the
-        statements that the sentence explains and that are not reproduced."""
+        """True sentences with a `role` of `Thesis` as pairs (ids, text). `ids` are the statements that the sentence
+        explains and that are not reproduced."""
         true = [thesis for thesis in theses().values() if thesis.role == role and all(map(self.true, thesis.true))]
         failing = [i for i, verdict in self.statements.items() if verdict != statements.REPRODUCED]
         return [([i for i in thesis.of if i in failing], self.text(thesis.says)) for thesis in true]
