@@ -48,9 +48,12 @@ class AdhesionSettings:
     """Parameters of the adhesion law, which changes the base torque (common to both wheels) of a running gear every ms.
 
     Attributes:
-        raise_step, lower_step (float): Rise of the base torque while the adhesion is more than `corridor` below its set
-            point, and fall while the adhesion is more than `corridor` above (N m per ms), p1 and p2 of the paper.
-        drop_step (float): Fall of the base torque while a wheel is past its adhesion maximum (N m per ms).
+        raise_step (float): Rise of the base torque while the adhesion is more than `corridor` below its set point (N m
+            per ms): the step up of both eqs. (23) and (25), p1 and p2 of the paper.
+        lower_step (float): Fall of the base torque while the adhesion is more than `corridor` above its set point (N m
+            per ms): the step down of eq. (25), p2 of the paper.
+        drop_step (float): Fall of the base torque while a wheel is past its adhesion maximum (N m per ms): the step
+            down of eq. (23), p1 of the paper.
         corridor (float): Half width of the corridor around the set point of the adhesion (-).
         filter_time (float): Time constant of the low-pass filters of adhesion and slip (s); the law uses their rates.
         dead_zone (float): Rate of the slip (1/s) below which no wheel counts as past its adhesion maximum.
