@@ -48,12 +48,9 @@ class AdhesionSettings:
     """Parameters of the adhesion law, which changes the base torque (common to both wheels) of a running gear every ms.
 
     Attributes:
-        raise_step (float): Rise of the base torque while the adhesion is more than `corridor` below its set point (N m
-            per ms): the step up of both eqs. (23) and (25), p1 and p2 of the paper.
-        lower_step (float): Fall of the base torque while the adhesion is more than `corridor` above its set point (N m
-            per ms): the step down of eq. (25), p2 of the paper.
-        drop_step (float): Fall of the base torque while a wheel is past its adhesion maximum (N m per ms): the step
-            down of eq. (23), p1 of the paper.
+        raise_step (float): Rise of the base torque below the corridor (N m per ms), p1 of eq. (23) and p2 of eq. (25).
+        lower_step (float): Fall of the base torque above the corridor (N m per ms), p2 of eq. (25).
+        drop_step (float): Fall of the base torque past the adhesion maximum of a wheel (N m per ms), p1 of eq. (23).
         corridor (float): Half width of the corridor around the set point of the adhesion (-).
         filter_time (float): Time constant of the low-pass filters of adhesion and slip (s); the law uses their rates.
         dead_zone (float): Rate of the slip (1/s) below which no wheel counts as past its adhesion maximum.
