@@ -9,7 +9,7 @@ from railrepro.evidence.chain import book, chain
 TEXT = "# [Re] Tracks\n\n$$a = b \\tag{8}$$\n\n$$\\begin{align}a\\end{align}$$\n\nand `02_contact`"
 CELLS = [
     {"cell_type": "markdown", "source": [TEXT]},
-    {"cell_type": "code", "id": "c07", "source": ['figures.save_figure(fig, "fig0101_tracks", table)'], "outputs": []},
+    {"cell_type": "code", "metadata": {}, "source": ['figures.save_figure(fig, "fig0101_tracks", t)'], "outputs": []},
 ]
 
 
@@ -22,7 +22,8 @@ def test_a_chapter_shows_number_formulas_links_and_captions(monkeypatch, tmp_pat
     assert text["source"].endswith("and [`02_contact`](02_contact.ipynb)")
     assert "\n\\begin{equation*}\na = b \\tag{8}\n\\end{equation*}\n" in text["source"]
     assert "\n\\begin{align*}a\\end{align*}\n" in text["source"]
-    assert drawn == CELLS[1] and caption["source"].startswith("**Figure 1.1.** ")
+    assert drawn["source"] == CELLS[1]["source"] and caption["source"].startswith("**Figure 1.1.** ")
+    assert drawn["metadata"]["mystnb"]["image"]["alt"] in caption["source"]  # what a screen reader reads
 
 
 def test_every_chapter_has_its_place_and_every_figure_its_caption():

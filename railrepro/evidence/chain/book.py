@@ -53,8 +53,8 @@ def chapter(notebook: Notebook) -> dict:
         for shown in (output["data"] for output in cell["outputs"] if "text/markdown" in output.get("data", {})):
             shown["text/markdown"] = _CHAPTER.sub(r"[`\1`](\1.ipynb)", "".join(shown["text/markdown"]))
         for name in _SAVED.findall(text):
-            data_file = f"{{download}}`data <../figures/{name}.csv>`"
-            caption = f"**Figure {figure_number(name)}.** {captions[name]} ({data_file})"
+            cell["metadata"]["mystnb"] = {"image": {"alt": captions[name]}}
+            caption = f"**Figure {figure_number(name)}.** {captions[name]} ({{download}}`data <../figures/{name}.csv>`)"
             cells.append({"cell_type": "markdown", "id": name, "metadata": {}, "source": caption})
     cells[0]["source"] = re.sub(r"^# (\[Re\] )?", f"# {notebook.name[:2]} ", cells[0]["source"])
     return content | {"cells": cells}
