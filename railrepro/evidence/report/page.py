@@ -185,11 +185,11 @@ class Page:
             raise statements.MissingEvidence(f"{name}: {len(rows)} rows with {where}")
         return rows.iloc[0]
 
-    def tuned_rmse(self, controller: str, setting: str) -> float:
-        """RMSE of y (m) on track T3 with the parameters of the tuning run of least cost, from settings_metrics.csv."""
+    def tuned_value(self, controller: str, setting: str, metric: str = "rmse_y") -> float:
+        """A `metric` (m) on track T3 with the parameters of the tuning run of least cost, from settings_metrics.csv."""
         seed = min(sets.load(controller, setting)["swarms"], key=lambda swarm: swarm["cost"])["seed"]
         where = {"scenario": "curve_entry_T3", "setting": setting, "controller": controller, "swarm": seed}
-        return self.cell("settings_metrics", "value", metric="rmse_y", **where)
+        return self.cell("settings_metrics", "value", metric=metric, **where)
 
     def time(self, solver: str, column: str = "median_ms") -> float:
         """Time of a `solver` ("ltv_mpc", or one of NMPC such as "gauss_newton") for one optimal control problem (ms):

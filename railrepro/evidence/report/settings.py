@@ -21,7 +21,7 @@ CASES: dict[str, tuple[str, str, float, dict]] = {
     "adhesion_loss_stressed": ("poor rail, stressed", "adhesion_loss", 1000, {"plant": {"drive.lag": 7.5e-3}}),
 }
 """Case (a scenario under one condition) -> title, scenario, length of the run (m), fields of `Experiment`."""
-_UNITS = {"rmse_y": "m", "followed_rmse_y": "m", "effort_du": "N m", "activity_du": "N m"}
+_UNITS = {"rmse_y": "m", "followed_rmse_y": "m", "delay": "m", "effort_du": "N m", "activity_du": "N m"}
 _UNITS |= {"largest_error": "m", "utilisation": "-", "failed_at_m": "m"}
 
 
