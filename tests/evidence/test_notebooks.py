@@ -1,6 +1,8 @@
 """Every notebook runs, in full or with small parameters, and writes what it declares; an edit does not stop it."""
 
+import ast
 import json
+import re
 import shutil
 from typing import NamedTuple
 
@@ -22,6 +24,18 @@ def test_notebook(notebook, tmp_path):
         if (entries["outcome"] == compare.DIFFERENT).any():
             different.append(f"  {old.name}: {compare.summary(entries)}\n    committed {old}\n    rerun     {new}")
     assert not different, "\n".join(["other products than the committed ones, see CONTRIBUTING.md:", *different])
+
+
+def test_sentences_of_results_are_formatted():
+    """A placeholder in a string without its f would be printed as it is, and no condition notices it."""
+    for notebook in chain.chain():
+        cells = data.read(paths.NOTEBOOKS / f"{notebook}.ipynb")["cells"]
+        code = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+        calls = [node for node in ast.walk(ast.parse(code)) if isinstance(node, ast.Call)]
+        said = [call.args[0] for call in calls if isinstance(call.func, ast.Name) and call.func.id == "says"]
+        texts = [node.value for text in said for node in ast.walk(text) if isinstance(node, ast.Constant)]
+        bare = [text for text in map(str, texts) if re.search(r"(?<![\\\w}])\{(?!term|cite)[a-z_]\w*[^{}]*\}", text)]
+        assert said and not bare, f"{notebook}: {bare}"
 
 
 class Edit(NamedTuple):
