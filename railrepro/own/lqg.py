@@ -9,10 +9,10 @@ Readings have the noise of the sensors, and the measured yaw angle and yaw rate 
 two Kalman filters, one for ideal and one for rough rails, are weighted by the likelihood of their innovations. The
 regulator minimises, over an infinite horizon at the speed v,
 
-    sum_k  y_k^2 + w^2 v / (100 m/s) r_k^2 + rho (du_k - du_(k-1))^2
+    sum_k  y_k^2 + q^2 v / (100 m/s) r_k^2 + rho (du_k - du_(k-1))^2
 
 with the displacement y_k from the set point over the rails, the yaw rate r_k against the track and the torque du_k. The
-track ahead is known over a preview and constant beyond it. The weight w damps without an offset, because no steady
+track ahead is known over a preview and constant beyond it. The weight q damps without an offset, because no steady
 state has a yaw rate. The rear gear gets the rails from a fixed-lag smoother of the front gear. Source: Anderson and
 Moore 1990, Optimal Control, ch. 2, 4 and 8; 1979, Optimal Filtering, ch. 7 (smoothing) and 10 (several models).
 """
@@ -268,7 +268,7 @@ class LqgPreview:
     change: Annotated[float, between(1e-13, 1e-3, "m2/(N m)2")] = 8e-10
     """Weight rho of the squared change of torque per millisecond, relative to that of y (m2/(N m)2)."""
     turn: Annotated[float, between(0.0, 10.0, "m s/rad")] = 0.082
-    """Weight w of the yaw rate relative to that of y (m s/rad), at 100 m/s. It raises stability margins, and makes them
+    """Weight q of the yaw rate relative to that of y (m s/rad), at 100 m/s. It raises stability margins, and makes them
     about equal at all speeds by growing with the square root of the speed."""
     force: Annotated[float, between(1.0, 1e8, "N")] = 1e5
     """Standard deviation after one second of the random walk of the unknown side force (N)."""

@@ -223,7 +223,7 @@ def _warnings(series: pd.DataFrame, vehicle: Vehicle) -> tuple[str, ...]:
 
     for name, wheel in ((name, Part(series, name)) for name in equations.WHEELS):
         first(wheel.N <= 0, f"{name} wheel lifts")
-        first(np.abs(wheel.angle) > FLANGE_ANGLE, f"{name} wheel touches with its flange")
+        first(np.abs(wheel.angle) > FLANGE_ANGLE, f"{name} wheel: its flange touches the rail")
     for name, gear in ((name, Part(series, name)) for name in GEARS):
         first(np.abs(gear.yaw_to_body) > vehicle.suspension.yaw_stop_angle, f"{name} gear is on its yaw end stop")
         if vehicle.contact.profile == "cone":

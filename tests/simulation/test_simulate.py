@@ -152,7 +152,7 @@ def test_the_plant_may_differ_from_the_vehicle_of_the_controllers():
     ("column", "value", "sentence"),
     [
         ("front_le.N", 0.0, "front_le wheel lifts"),
-        ("rear_ri.angle", 0.7, "rear_ri wheel touches with its flange"),
+        ("rear_ri.angle", 0.7, "rear_ri wheel: its flange touches the rail"),
         ("front.yaw_to_body", -0.0501, "front gear is on its yaw end stop"),
         ("rear.v", 0.99, "rear gear is slower than the slip regularisation"),
         ("rear.y", -7.1e-3, "rear gear is where flanges would touch, cones have none"),
