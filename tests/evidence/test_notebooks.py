@@ -26,6 +26,9 @@ def test_notebook(notebook, tmp_path):
     assert not different, "\n".join(["other products than the committed ones, see CONTRIBUTING.md:", *different])
 
 
+PLACEHOLDER = re.compile(r"(?<![\\\w}])\{(?!term|cite)([a-z_]\w*[^{}]*|[^{}$]*:[.\d]*[fg%])\}")
+
+
 def test_sentences_of_results_are_formatted():
     """A placeholder in a string without its f would be printed as it is, and no condition notices it."""
     for notebook in chain.chain():
@@ -34,7 +37,7 @@ def test_sentences_of_results_are_formatted():
         calls = [node for node in ast.walk(ast.parse(code)) if isinstance(node, ast.Call)]
         said = [call.args[0] for call in calls if isinstance(call.func, ast.Name) and call.func.id == "says"]
         texts = [node.value for text in said for node in ast.walk(text) if isinstance(node, ast.Constant)]
-        bare = [text for text in map(str, texts) if re.search(r"(?<![\\\w}])\{(?!term|cite)[a-z_]\w*[^{}]*\}", text)]
+        bare = [text for text in map(str, texts) if PLACEHOLDER.search(text)]
         assert said and not bare, f"{notebook}: {bare}"
 
 
